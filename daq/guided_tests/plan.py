@@ -121,7 +121,7 @@ def _planned(state: State, roles: Roles, done: str, late: str) -> PlannedState:
         asks=state.asks if who == OPERATOR else "",
         rpm=state.rpm,
         usual_s=state.usual_s,
-        limit_s=state.limit_s,
+        limit_s=state.limit_s + state.extension_s,
         limit_is_wall=state.wall,
         no_pause=state.no_pause,
         done=_LAST.get(done, done),

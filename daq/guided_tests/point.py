@@ -16,6 +16,7 @@ from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _POINT_LIMIT_S = 90.0
+_EXTENSION_S = 60.0  # beyond that limit, while the remaining change is bounded and predicted to end within this time
 _MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, rig s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
@@ -94,13 +95,14 @@ def settle_state(
         since = (view.now_ns - since_ns) * 1e-9
         steady_ns = view.memory.get("steady_ns")
         if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
-            return StateObservation(False, f"{since:.0f} s {begun}")
+            return StateObservation(False, f"{since:.0f} s {begun}", near=steady_ns is not None)
         again = steady_ns is not None
         last = view.measures.steady(since_ns, step_rad, _SECOND_LIMITS if again else _FIRST_LIMITS, free)
         over = (again and last.settled) or (not last.settled and ends(view, last))
+        near = last.settled or (last.approaching and since + last.more_s < _POINT_LIMIT_S + _EXTENSION_S)
         seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
         facts = {"settled": over and last.settled, "why": last.why}
-        return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", store=seen, facts=facts)
+        return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", store=seen, facts=facts, near=near)
 
     return State(
         "settle",
@@ -109,6 +111,7 @@ def settle_state(
         rpm=rpm,
         usual_s=30.0,
         limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S,
+        extension_s=0.0 if free else _EXTENSION_S,
         missed=lambda view: _not_steady(request, view),
         no_pause=MOTION,
     )
@@ -120,7 +123,8 @@ def _not_steady(request: GuidedTestRequest, view: StateView) -> str:
     point = request.rig.points.get(request.point)
     if last is not None and last.slipping and point is not None and point.expected == "slipping":
         return ""
-    return f"the steady state within {_POINT_LIMIT_S:g} s of the release: {last.why if last else 'no data'}"
+    waited_s = max(_POINT_LIMIT_S, view.in_state_s - _AFTER_STEADY_S)
+    return f"the steady state within {waited_s:.0f} s of the release: {last.why if last else 'no data'}"
 
 
 def _table(request: GuidedTestRequest) -> StateTable:

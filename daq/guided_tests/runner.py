@@ -137,7 +137,7 @@ class Runner:
                 self._show(state, look)
                 if look.done:
                     return StateOutcome.DONE
-                if self._clock.now_ns() > end_ns:
+                if self._clock.now_ns() > end_ns + int(look.near * state.extension_s * 1e9):
                     return self._late(state, self._view(entry_began_ns, entered_ns))
                 self._clock.sleep(state.period_s)
         except _Aborted:  # usual: a request of the operator

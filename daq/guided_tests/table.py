@@ -75,6 +75,7 @@ class StateObservation:
         share: completed share of the state, 0 … 1; None if it cannot be estimated.
         store: values to store in the memory for later looks and states.
         facts: facts for the summary of the log.
+        near: whether the condition will be met within the state's `extension_s` if the signals go on as they do.
     """
 
     done: bool
@@ -82,6 +83,7 @@ class StateObservation:
     share: float | None = None
     store: Mapping[str, Any] = field(default_factory=dict[str, Any])
     facts: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    near: bool = False
 
 
 def at_once(view: StateView) -> StateObservation:
@@ -115,6 +117,7 @@ class State:
         look: evaluates the condition.
         period_s: period of the looks, rig s.
         limit_s: time limit, in rig s, or in wall s if the state waits for a person or a mechanism.
+        extension_s: longest extension of the time limit, rig s; it lasts while the looks report `near`.
         wall: whether `limit_s` is wall time.
         usual_s: usual duration for the plan, rig s.
         actor: who acts. "rotor" and "locks" stand for a device, or for the operator if the rig has no such device.
@@ -134,6 +137,7 @@ class State:
     look: Callable[[StateView], StateObservation] = at_once
     period_s: float = 0.5
     limit_s: float = 0.0
+    extension_s: float = 0.0
     wall: bool = False
     usual_s: float = 0.0
     actor: Actor = "program"

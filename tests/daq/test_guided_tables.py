@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.runner import NotReached, TestDone
 from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOutcome, StateTable, StateView
 from daq.guided_tests.test_inputs import requested_test
+from daq.signals.settling import Settling
 from rig_configs import load_rig
 from tests.daq.bench_without_rig import Bench, finished, plays, scripted
 
@@ -346,3 +348,62 @@ def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: i
     assert [log["run"] for log in bench.logs] == ["1 of 20", "2 of 20"][:runs]
     assert bench.locked
     assert not bench.turning
+
+
+SETTLE = next(row for row in table_of("point").rows if row.name == "settle")
+SLOWEST = math.inf  # s until it is steady: never
+
+
+@pytest.mark.parametrize(
+    ("steady_s", "reached", "waited_s"),
+    [(20.0, True, 22.5), (95.0, True, 97.5), (140.0, True, 142.5), (155.0, False, 92.5), (SLOWEST, False, 92.5)],
+)
+def test_a_point_that_is_nearly_steady_at_its_limit_gets_the_time_it_needs(
+    steady_s: float, reached: bool, waited_s: float, tmp_path: Path
+) -> None:
+    bench, waited = Bench(RIG), 0.0
+
+    class Approaching:
+        """What a rig shows that approaches its steady state at a known rate."""
+
+        def steady(self, since_ns: int, *_: object) -> Settling:
+            left_s = steady_s - (bench.clock.ns - since_ns) * 1e-9
+            bounded = math.isfinite(left_s)
+            remaining = 3e-6 if bounded else math.inf
+            facts = {"drift_rad": 0.0, "remaining_rad": 0.0, "drift_m": 0.0, "remaining_m": remaining}
+            facts |= {"span_s": 9.0, "more_s": max(0.0, left_s)}
+            return Settling(left_s <= 0, False, "it changes", **facts, approaching=bounded and left_s > 0)
+
+    def look(state: State, view: StateView) -> StateObservation:
+        nonlocal waited
+        if state.name != "settle":
+            return StateObservation(True)
+        waited = view.in_state_s
+        return SETTLE.look(replace(view, measures=cast("Measures", Approaching())))
+
+    played = scripted(table_of("point"), look, looks=185)
+    done = finished(bench, ASKED["point"], played, Controls(), tmp_path)
+    assert isinstance(done, TestDone)
+    assert done.missed == ("" if reached else "what was waited for")
+    assert waited == pytest.approx(waited_s, abs=1.1)
+
+
+def test_an_extension_ends_too(tmp_path: Path) -> None:
+    bench, waited = Bench(RIG), 0.0
+
+    def look(state: State, view: StateView) -> StateObservation:
+        nonlocal waited
+        if state.name == "settle":
+            waited = view.in_state_s
+        return StateObservation(state.name != "settle", store={"released_ns": 1}, near=True)
+
+    done = finished(bench, ASKED["point"], scripted(table_of("point"), look, looks=185), Controls(), tmp_path)
+    assert isinstance(done, TestDone)
+    assert done.missed == "what was waited for"
+    assert waited == pytest.approx(SETTLE.limit_s + SETTLE.extension_s, abs=1.1) == pytest.approx(152.5, abs=1.1)
+
+
+def test_a_missed_steady_state_says_how_long_it_was_waited_for() -> None:
+    view = StateView(cast("Measures", None), 0, 0, 0, 300.0, {})
+    for waited_s, words in ((93.0, "within 90 s"), (120.5, "within 118 s"), (152.6, "within 150 s")):
+        assert f"the steady state {words} of the release" in SETTLE.missed(replace(view, now_ns=int(waited_s * 1e9)))

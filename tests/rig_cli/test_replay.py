@@ -281,10 +281,8 @@ def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
     }
     assert host.returncode == 3, host.stderr
     # the rotor of the log turns, its counts go on in closed locks, its node never answer its status
-    busy = {
-        "laser_y lost_samples",
-        "encoder clock_std_us",
-    }  # the gaps of the log; one second of a machine with other work
+    clocks = {f"{device} clock_std_us" for device in ("encoder", "laser_x", "laser_y")}
+    busy = {"laser_y lost_samples", *clocks}  # the gaps of the log; one second of a machine with other work
     locked = {"encoder locked_A_deg", "encoder noise_A_counts"}
     assert failed - busy == {"drive speed_rpm", "encoder status", *locked}
     for name in ("laser_x", "laser_y"):
