@@ -191,6 +191,58 @@ def test_an_encoder_that_does_not_answer_is_reported_once_until_it_answers_again
     assert "encoder b (node 4) has not answered 3 SYNCs" in found[0].text
 
 
+def turning(late_ms: dict[int, float], **other: Any) -> Line:
+    """Three seconds at 1000 rpm; `late_ms`: delay of the SYNC on the bus after the host's write, by its number."""
+    line = Line(**other)
+    for number in range(300):
+        late = late_ms.get(number, 0.0)
+        shaft = round((line.now_ms + late) * 1e-3 * 1000 / 60 * 4096) % 4096
+        line.period(report(3, 100) + report(4, 200) + report(5, shaft), after_ms=late + 1.0)
+    return line
+
+
+def speeds_rpm(line: Line) -> np.ndarray:
+    return 60e9 / np.diff(np.concatenate([batch.time_ns for batch in line.batches("tacho")]))
+
+
+LATE_MS = {12: 8.0, 126: 7.0, 240: 6.5}  # at index marks
+
+
+def test_a_sync_that_leaves_late_is_no_other_speed() -> None:
+    line = turning(LATE_MS)
+    assert len(speeds_rpm(line)) == 48
+    np.testing.assert_allclose(speeds_rpm(line), 1000.0, rtol=2e-3)
+    assert line.losses == {"samples": 3, "late": 3}
+    assert [event.facts["samples"] for event in line.events("gap") if "samples" in event.facts] == [1, 1, 1]
+    assert [event.text.partition(",")[0] for event in line.events("gap") if "late" in event.facts] == [
+        "a SYNC was answered after 9.0 ms",
+        "a SYNC was answered after 8.0 ms",
+        "a SYNC was answered after 7.5 ms",
+    ]
+    assert np.ptp(speeds_rpm(turning(LATE_MS, max_round_trip_s=0.02))) > 100.0, "what the limit prevents"
+
+
+def test_a_report_after_a_prompt_one_is_of_the_same_instant() -> None:
+    line = Line()
+    line.at(10, TX, SYNC)
+    line.at(11, RX, report(3, 100))
+    line.at(19, RX, report(4, 200))
+    assert [int(batch.time_ns[0]) for batch in line.batches()] == [10 * MS]
+    assert line.losses == {}
+
+
+def test_late_answers_are_answers_and_are_reported_once_a_second() -> None:
+    line = Line()
+    for _ in range(250):
+        line.period(report(3, 100), report(4, 200) + report(5, 300), after_ms=5.1)
+    assert line.batches() == []
+    assert line.losses == {"samples": 250, "late": 250}
+    assert line.events("network") == []
+    assert len(line.events("gap")) == 3
+    line.all_answer()
+    assert line.events("gap")[-1].facts["samples"] == 250
+
+
 def test_a_report_without_a_sync_or_too_late_gives_no_sample() -> None:
     line = Line()
     line.at(0, RX, report(3, 5))  # before any SYNC: its own was sent before the log began

@@ -391,7 +391,7 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
 
 
 @pytest.mark.parametrize("rig", ["virtual", "other_devices"])
-@pytest.mark.parametrize("block", range(4))
+@pytest.mark.parametrize("block", range(cases(2, 4)))
 def test_under_every_fault_schedule_the_log_is_correct_and_the_rotor_stops(
     rig: str, block: int, tmp_path: Path
 ) -> None:

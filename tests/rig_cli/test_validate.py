@@ -69,8 +69,9 @@ def test_a_what_if_lies_over_the_parameters_and_keeps_nothing(
     assert "imbalance.radius_m=+5%" in page
     assert "Uncertainty budgets" in page
     assert "<b>B.theta3_deg</b>" in page
-    assert run(["validate", "virtual", str(log), "--parameters", str(toml), "--set", setting]) == 1
-    assert f"what if {setting}" in capsys.readouterr().out
+    slight = "imbalance.radius_m=+0.001%"  # passes: no causes are sought, which takes most of the time
+    assert run(["validate", "virtual", str(log), "--parameters", str(toml), "--set", slight]) == 0
+    assert f"what if {slight}" in capsys.readouterr().out
     assert verdict.read_bytes() == official
 
 

@@ -15,6 +15,9 @@ Serial = Annotated[int, Field(ge=0, lt=2**32)]
 Counts = Annotated[int, Field(ge=0, lt=2**31)]
 Positive = Literal["cw", "ccw"]
 
+LATEST_S = 0.1
+"""Latest report after its SYNC, s. The host waits twice as long, so that it is not taken for an answer to the next."""
+
 _SYNC_BITS, _REPORT_BITS = 67, 117  # longest frames of 0 and 4 bytes, with stuffing and the space between frames
 _LINE_BITS = 150  # text of a report: 14 characters and CR, 10 bits each
 _MOST_OF_LINE = 0.9  # answers to the host's frames and heartbeats need the rest
@@ -54,6 +57,8 @@ class EncoderBus(RotorNodeSettings):
             timer.
         sync_delay_s: time from the host's write of a SYNC to the sampling, s; without SYNC: from the sampling to the
             host's read. Not verified: measure it.
+        max_round_trip_s: longest time from the host's write of a SYNC to its first report, s. After a longer one the
+            time of the sampling is too uncertain, and the samples count as missing.
         heartbeat_ms: period of the encoders' heartbeats, ms.
         rate_Hz: samples per second; without SYNC its period must be whole milliseconds.
     """
@@ -74,6 +79,7 @@ class EncoderBus(RotorNodeSettings):
     shaft_zero_counts: Counts = 0
     sync: bool = True
     sync_delay_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    max_round_trip_s: Annotated[float, Field(ge=0.0005, le=LATEST_S)] = 0.005
     heartbeat_ms: Annotated[int, Field(ge=50, le=5000)] = 200
     rate_Hz: Annotated[int, Field(ge=10, le=1000)] = 200
     locks: bool = False

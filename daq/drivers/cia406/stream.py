@@ -40,7 +40,8 @@ class EncoderPipeline:
         losses: see Pipeline. "samples": samples of both angles that are missing; "reports": reports of any encoder that
             are missing; "heartbeats": losses of an encoder's heartbeat; "unasked": reports that answer no SYNC or come
             too late; "invalid": reports that are too short, beyond the encoder's range, or of an encoder that started
-            again; "foreign_syncs" are SYNCs of another host.
+            again; "late": SYNCs whose samples are missing because the first report came too late for their time to be
+            certain; "foreign_syncs" are SYNCs of another host.
         has_reported, complaint: see DescribesItself.
 
     Args:
@@ -55,7 +56,7 @@ class EncoderPipeline:
     has_reported = True
 
     def __init__(self, device: str, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
-        kinds = ("samples", "reports", "heartbeats", "unasked", "invalid", "foreign_syncs")
+        kinds = ("samples", "reports", "heartbeats", "unasked", "invalid", "late", "foreign_syncs")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self.complaint: str = ""
         self._device, self._settings = device, settings
@@ -72,7 +73,7 @@ class EncoderPipeline:
             self._by_frame[cia301.cob_emergency(each.node)] = each.name, self._emergency
             self._by_frame[cia301.cob_sdo_answer(each.node)] = each.name, self._reply
         delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
-        self._sync = SyncTimes(tuple(self._watches), delay_ns)
+        self._sync = SyncTimes(tuple(self._watches), delay_ns, round(settings.max_round_trip_s * 1e9))
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
         self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
@@ -83,7 +84,8 @@ class EncoderPipeline:
         self._next_number: int | None = None  # of the sample after the last one, without SYNC
         self._last_ns, self._period_ns = 0, period_ns
         self._echoes, self._has_sent = 0, False
-        self._foreign_ns = -_AGAIN_NS
+        self._foreign_ns = self._late_ns = -_AGAIN_NS
+        self._late_number, self._asked_ns = -1, 0  # SYNC counted as late; host time of the newest SYNC
         self._radian = 2 * math.pi / per_turn
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
@@ -129,6 +131,7 @@ class EncoderPipeline:
     def _asked(self, host_ns: int) -> Items:
         if not self._settings.sync:
             return
+        self._asked_ns = host_ns
         missing = self._sync.sync(host_ns)
         self._both = {}
         self.losses["reports"] += len(missing)
@@ -184,6 +187,9 @@ class EncoderPipeline:
             yield DeviceEvent("damage", self._device, text, {"lines": 1})
             return
         counts = self._turns[name].counts(raw)
+        if not self._sync.prompt:
+            yield from self._late(instant, host_ns)
+            return
         if name == "shaft":
             yield from self._shaft(instant, counts)
             return
@@ -191,6 +197,23 @@ class EncoderPipeline:
         if len(self._both) == 2:
             lost, self._lost = self._lost, 0
             yield from self._sample(instant, self._both["a"], self._both["b"], lost)
+
+    def _late(self, instant: Instant, host_ns: int) -> Items:
+        """Count the samples of a SYNC as missing, at its first report."""
+        if instant.number == self._late_number:
+            return
+        self._late_number = instant.number
+        self.losses["late"] += 1
+        self.losses["samples"] += 1
+        self._lost += 1
+        if host_ns - self._late_ns > _AGAIN_NS:
+            self._late_ns = host_ns
+            text = (
+                f"a SYNC was answered after {(host_ns - self._asked_ns) * 1e-6:.1f} ms, max_round_trip_s is "
+                f"{self._settings.max_round_trip_s:g}: when the encoders sampled is uncertain, the samples count as "
+                "missing. If the adapter is always so slow, set its latency timer, or raise the limit"
+            )
+            yield DeviceEvent("gap", self._device, text, {"late": self.losses["late"]})
 
     def _free_running(self, name: str, counts: int, host_ns: int) -> Items:
         timer, values = self._timers[name], (counts,)

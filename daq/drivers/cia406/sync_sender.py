@@ -6,13 +6,11 @@ from collections.abc import Callable
 
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.settings import EncoderBus
+from daq.drivers.cia406.settings import LATEST_S, EncoderBus
 from daq.drivers.polling import Request, RequestLoop
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
 
-LATEST_S = 0.1
-"""Latest report after its SYNC, s. The host waits twice as long, so that it is not taken for an answer to the next."""
 _ANSWERED = b"\r"
 _MISSES = 3
 
