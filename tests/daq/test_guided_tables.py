@@ -403,7 +403,7 @@ def test_an_extension_ends_too(tmp_path: Path) -> None:
     assert waited == pytest.approx(SETTLE.limit_s + SETTLE.extension_s, abs=1.1) == pytest.approx(152.5, abs=1.1)
 
 
-def test_a_missed_steady_state_says_how_long_it_was_waited_for() -> None:
+def test_a_missed_steady_state_is_reported_with_the_duration_of_the_wait() -> None:
     view = StateView(cast("Measures", None), 0, 0, 0, 300.0, {})
     for waited_s, words in ((93.0, "within 90 s"), (120.5, "within 118 s"), (152.6, "within 150 s")):
         assert f"the steady state {words} of the release" in SETTLE.missed(replace(view, now_ns=int(waited_s * 1e9)))
