@@ -219,7 +219,8 @@ def test_a_sync_that_leaves_late_is_no_other_speed() -> None:
         "a SYNC was answered after 8.0 ms",
         "a SYNC was answered after 7.5 ms",
     ]
-    assert np.ptp(speeds_rpm(turning(LATE_MS, max_round_trip_s=0.02))) > 100.0, "what the limit prevents"
+    assert all("usually after 1.0 ms" in event.text for event in line.events("gap") if "late" in event.facts)
+    assert np.ptp(speeds_rpm(turning(LATE_MS, max_lateness_s=0.02))) > 100.0, "what the limit prevents"
 
 
 def test_a_report_after_a_prompt_one_is_of_the_same_instant() -> None:
@@ -233,14 +234,30 @@ def test_a_report_after_a_prompt_one_is_of_the_same_instant() -> None:
 
 def test_late_answers_are_answers_and_are_reported_once_a_second() -> None:
     line = Line()
-    for _ in range(250):
-        line.period(report(3, 100), report(4, 200) + report(5, 300), after_ms=5.1)
-    assert line.batches() == []
-    assert line.losses == {"samples": 250, "late": 250}
+    for number in range(300):  # three of ten are late
+        line.period(report(3, 100), report(4, 200) + report(5, 300), after_ms=6.1 if number % 10 >= 7 else 1.0)
+    assert sum(len(batch.time_ns) for batch in line.batches()) == 210
+    assert line.losses == {"samples": 90, "late": 90}
     assert line.events("network") == []
-    assert len(line.events("gap")) == 3
-    line.all_answer()
-    assert line.events("gap")[-1].facts["samples"] == 250
+    assert len([event for event in line.events("gap") if "late" in event.facts]) == 3
+    assert [event.facts["samples"] for event in line.events("gap") if "samples" in event.facts] == [3] * 29
+
+
+@pytest.mark.parametrize("usual_ms", [0.5, 9.0])
+def test_an_adapter_that_is_always_slow_is_not_late(usual_ms: float) -> None:
+    line = Line()
+    for number in range(100):
+        line.period(report(3, 100) + report(4, 200), after_ms=usual_ms + 0.9 * (number % 2))
+    assert len(line.batches()) == 100
+    assert line.losses == {"reports": 99}  # the shaft's, without the newest
+
+
+def test_what_is_usual_follows_the_adapter() -> None:
+    line = Line(max_lateness_s=0.002)
+    for number in range(60):
+        line.period(report(3, 100) + report(4, 200), after_ms=1.0 if number < 20 else 4.0)
+    numbers = np.concatenate([batch.sequence for batch in line.batches()])
+    assert set(range(60)) - set(map(int, numbers)) == set(range(20, 35))  # until half of the newest 31 are slow
 
 
 def test_a_report_without_a_sync_or_too_late_gives_no_sample() -> None:

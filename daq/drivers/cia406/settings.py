@@ -57,8 +57,8 @@ class EncoderBus(RotorNodeSettings):
             timer.
         sync_delay_s: time from the host's write of a SYNC to the sampling, s; without SYNC: from the sampling to the
             host's read. Not verified: measure it.
-        max_round_trip_s: longest time from the host's write of a SYNC to its first report, s. After a longer one the
-            time of the sampling is too uncertain, and the samples count as missing.
+        max_lateness_s: a SYNC whose first report comes later than usual by more than this may have left late, s. The
+            time of the sampling is then too uncertain, and the samples count as missing.
         heartbeat_ms: period of the encoders' heartbeats, ms.
         rate_Hz: samples per second; without SYNC its period must be whole milliseconds.
     """
@@ -79,7 +79,7 @@ class EncoderBus(RotorNodeSettings):
     shaft_zero_counts: Counts = 0
     sync: bool = True
     sync_delay_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    max_round_trip_s: Annotated[float, Field(ge=0.0005, le=LATEST_S)] = 0.005
+    max_lateness_s: Annotated[float, Field(ge=0.0005, le=LATEST_S)] = 0.005
     heartbeat_ms: Annotated[int, Field(ge=50, le=5000)] = 200
     rate_Hz: Annotated[int, Field(ge=10, le=1000)] = 200
     locks: bool = False

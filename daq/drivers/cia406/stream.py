@@ -73,7 +73,7 @@ class EncoderPipeline:
             self._by_frame[cia301.cob_emergency(each.node)] = each.name, self._emergency
             self._by_frame[cia301.cob_sdo_answer(each.node)] = each.name, self._reply
         delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
-        self._sync = SyncTimes(tuple(self._watches), delay_ns, round(settings.max_round_trip_s * 1e9))
+        self._sync = SyncTimes(tuple(self._watches), delay_ns, round(settings.max_lateness_s * 1e9))
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
         self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
@@ -209,9 +209,9 @@ class EncoderPipeline:
         if host_ns - self._late_ns > _AGAIN_NS:
             self._late_ns = host_ns
             text = (
-                f"a SYNC was answered after {(host_ns - self._asked_ns) * 1e-6:.1f} ms, max_round_trip_s is "
-                f"{self._settings.max_round_trip_s:g}: when the encoders sampled is uncertain, the samples count as "
-                "missing. If the adapter is always so slow, set its latency timer, or raise the limit"
+                f"a SYNC was answered after {(host_ns - self._asked_ns) * 1e-6:.1f} ms, usually after "
+                f"{self._sync.usual_ns * 1e-6:.1f} ms, and max_lateness_s is {self._settings.max_lateness_s:g}: the "
+                "time of the sampling is uncertain, the samples count as missing. Look at the load of this host"
             )
             yield DeviceEvent("gap", self._device, text, {"late": self.losses["late"]})
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 
 from daq.drivers.cia406.reports import Instant
 from daq.drivers.cia406.settings import LATEST_S
+
+_USUAL = 31  # round trips of which the median is the usual one
 
 
 @dataclass
@@ -21,17 +24,22 @@ class _Asked:
 class SyncTimes:
     """Assigns reports to the SYNC that they answer, and counts missing ones exactly.
 
-    All encoders sample at the SYNC on the bus, between the host's write and the arrival of the first report. The latter
-    therefore bounds the error of the time of all of them.
+    All encoders sample at the SYNC on the bus, between the host's write and the arrival of the first report. A first
+    report that is later than usual may therefore mean a SYNC that left late, and a sampling later than assumed.
 
     Args:
         names: names of the encoders.
         delay_ns: time from the host's write of a SYNC to the sampling, ns.
-        max_round_trip_ns: longest time from the write to the first report for which the time is certain enough, ns.
+        max_lateness_ns: longest time by which a first report may be later than usual, ns.
+
+    Attributes:
+        usual_ns: median of the newest round trips, ns; each from the write to the first report.
     """
 
-    def __init__(self, names: tuple[str, ...], delay_ns: int, max_round_trip_ns: int) -> None:
-        self._names, self._delay_ns, self._max_round_trip_ns = names, delay_ns, max_round_trip_ns
+    def __init__(self, names: tuple[str, ...], delay_ns: int, max_lateness_ns: int) -> None:
+        self._names, self._delay_ns, self._max_lateness_ns = names, delay_ns, max_lateness_ns
+        self._round_trips: deque[int] = deque(maxlen=_USUAL)
+        self.usual_ns: int = 0
         self._asked: _Asked | None = None
         self._next = 0
 
@@ -48,6 +56,11 @@ class SyncTimes:
         """Whether there was a SYNC; a log may begin between a SYNC and its reports."""
         return self._asked is not None
 
+    def _is_prompt(self, round_trip_ns: int) -> bool:
+        self._round_trips.append(round_trip_ns)
+        self.usual_ns = sorted(self._round_trips)[len(self._round_trips) // 2]
+        return round_trip_ns - self.usual_ns <= self._max_lateness_ns
+
     @property
     def prompt(self) -> bool:
         """Whether the first report of the newest SYNC came in time."""
@@ -59,7 +72,7 @@ class SyncTimes:
         if asked is None or name in asked.answered or host_ns - asked.host_ns > LATEST_S * 1e9:
             return None
         if not asked.answered:
-            asked.prompt = host_ns - asked.host_ns <= self._max_round_trip_ns
+            asked.prompt = self._is_prompt(host_ns - asked.host_ns)
         asked.answered.add(name)
         time_ns = asked.host_ns + self._delay_ns
         return Instant(asked.number, time_ns, time_ns)
