@@ -425,6 +425,16 @@ def test_missing_positions_are_bridged_with_the_speed_before() -> None:
     assert again == []  # too long ago
 
 
+def test_gaps_in_quick_succession_are_bridged_with_the_last_known_speed() -> None:
+    marks = Marks(4096, PERIOD_NS)
+    out: list[tuple[int, int]] = []
+    for number in [*range(8), *range(15, 17), *range(24, 26), *range(33, 35)]:  # 0.3 revolutions each
+        instant = Instant(number, number * PERIOD_NS, 0)
+        out += [(edge, at_ns) for edge, at_ns, _ in marks.feed(instant, round(4096 * 0.3 * number))]
+    assert [edge for edge, _ in out] == list(range(1, 11))
+    assert [at_ns for _, at_ns in out] == pytest.approx([edge / 0.3 * PERIOD_NS for edge, _ in out], rel=2e-3)
+
+
 def test_an_instant_that_is_wrong_does_not_become_the_speed() -> None:
     """One sample 4.9 ms late, a tenth of a revolution each 5 ms."""
     marks, out = Marks(4096, 5 * MS), list[int]()

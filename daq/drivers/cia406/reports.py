@@ -66,6 +66,7 @@ class Marks:
         self._per_turn, self._period_ns, self._gap_ns = per_turn, period_ns, self._GAP * period_ns
         self._last: Instant | None = None
         self._past: deque[tuple[int, float]] = deque(maxlen=self._MEAN + 1)  # time, ns, and revolutions, without a gap
+        self._mean_rate, self._mean_ns = 0.0, -self._LONGEST_NS  # newest mean speed, revolutions per ns, and its time
         self._edge: int | None = None  # revolution of the newest mark, until the shaft has left it
 
     def feed(self, instant: Instant, counts: int) -> list[tuple[int, int, int]]:
@@ -98,9 +99,12 @@ class Marks:
         return out
 
     def _mean_per_ns(self) -> float:
-        """Return the mean speed over the past positions, revolutions per ns, limited; 0 with too few of them."""
+        """Return the mean speed, revolutions per ns, limited; 0 if it is not known.
+
+        With too few positions since the last gap, as on a busy host, it is the one at that gap.
+        """
         (from_ns, begin), (to_ns, end) = self._past[0], self._past[-1]
-        if len(self._past) <= self._MEAN // 2:
-            return 0.0
-        mean, most = (end - begin) / (to_ns - from_ns), 0.5 / self._period_ns
-        return min(max(mean, -most), most)
+        if len(self._past) > self._MEAN // 2:
+            most = 0.5 / self._period_ns
+            self._mean_rate, self._mean_ns = min(max((end - begin) / (to_ns - from_ns), -most), most), to_ns
+        return self._mean_rate if to_ns - self._mean_ns < self._LONGEST_NS else 0.0
