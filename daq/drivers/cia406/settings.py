@@ -79,7 +79,7 @@ class EncoderBus(RotorNodeSettings):
     shaft_zero_counts: Counts = 0
     sync: bool = True
     sync_delay_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0
-    max_lateness_s: Annotated[float, Field(ge=0.0005, le=LATEST_S)] = 0.005
+    max_lateness_s: Annotated[float, Field(ge=0.0005, le=LATEST_S)] = 0.003
     heartbeat_ms: Annotated[int, Field(ge=50, le=5000)] = 200
     rate_Hz: Annotated[int, Field(ge=10, le=1000)] = 200
     locks: bool = False
