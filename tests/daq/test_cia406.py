@@ -191,13 +191,19 @@ def test_an_encoder_that_does_not_answer_is_reported_once_until_it_answers_again
     assert "encoder b (node 4) has not answered 3 SYNCs" in found[0].text
 
 
-def turning(late_ms: dict[int, float], **other: Any) -> Line:
-    """Three seconds at 1000 rpm; `late_ms`: delay of the SYNC on the bus after the host's write, by its number."""
+def turning(late_ms: dict[int, float], read_ms: dict[int, float] | None = None, **other: Any) -> Line:
+    """Three seconds at 1000 rpm.
+
+    Args:
+        late_ms: delay of the SYNC on the bus after the host's write, by its number, ms.
+        read_ms: delay of the host's read after the reports, by the number of the SYNC, ms; others 1 ms.
+    """
     line = Line(**other)
     for number in range(300):
         late = late_ms.get(number, 0.0)
         shaft = round((line.now_ms + late) * 1e-3 * 1000 / 60 * 4096) % 4096
-        line.period(report(3, 100) + report(4, 200) + report(5, shaft), after_ms=late + 1.0)
+        after_ms = late + (read_ms or {}).get(number, 1.0)
+        line.period(report(3, 100) + report(4, 200) + report(5, shaft), after_ms=after_ms)
     return line
 
 
@@ -232,32 +238,50 @@ def test_a_report_after_a_prompt_one_is_of_the_same_instant() -> None:
     assert line.losses == {}
 
 
-def test_late_answers_are_answers_and_are_reported_once_a_second() -> None:
-    line = Line()
-    for number in range(300):  # three of ten are late
-        line.period(report(3, 100), report(4, 200) + report(5, 300), after_ms=6.1 if number % 10 >= 7 else 1.0)
-    assert sum(len(batch.time_ns) for batch in line.batches()) == 210
-    assert line.losses == {"samples": 90, "late": 90}
+def test_answers_that_are_only_read_late_lose_nothing() -> None:
+    prompt, late = turning({}), turning({}, dict.fromkeys(range(20, 300, 5), 8.0))
+    assert late.losses == prompt.losses == {}
+    assert [batch.time_ns.tolist() for batch in late.batches()] == [
+        batch.time_ns.tolist() for batch in prompt.batches()
+    ]
+    assert speeds_rpm(late).tolist() == speeds_rpm(prompt).tolist()
+
+
+def test_late_syncs_are_answered_and_reported_once_a_second() -> None:
+    line = turning({number: 6.0 for number in range(20, 300) if number % 10 >= 7})
+    assert sum(len(batch.time_ns) for batch in line.batches()) == 300 - 84
+    assert line.losses == {"samples": 84, "late": 84}
     assert line.events("network") == []
     assert len([event for event in line.events("gap") if "late" in event.facts]) == 3
-    assert [event.facts["samples"] for event in line.events("gap") if "samples" in event.facts] == [3] * 29
+    assert [event.facts["samples"] for event in line.events("gap") if "samples" in event.facts] == [3] * 27
+    np.testing.assert_allclose(speeds_rpm(line), 1000.0, rtol=2e-3)
 
 
 @pytest.mark.parametrize("usual_ms", [0.5, 9.0])
 def test_an_adapter_that_is_always_slow_is_not_late(usual_ms: float) -> None:
-    line = Line()
-    for number in range(100):
-        line.period(report(3, 100) + report(4, 200), after_ms=usual_ms + 0.9 * (number % 2))
-    assert len(line.batches()) == 100
-    assert line.losses == {"reports": 99}  # the shaft's, without the newest
+    late = {number: usual_ms - 0.4 + 0.9 * (number % 2) for number in range(300)}
+    line = turning(late, dict.fromkeys(range(300), 0.4))
+    assert line.losses == {}
+    np.testing.assert_allclose(speeds_rpm(line), 1000.0, rtol=2e-2)
 
 
 def test_what_is_usual_follows_the_adapter() -> None:
-    line = Line(max_lateness_s=0.002)
-    for number in range(60):
-        line.period(report(3, 100) + report(4, 200), after_ms=1.0 if number < 20 else 4.0)
+    """The shaft turns further at each of these SYNCs, since it is not sampled in between."""
+    line = turning({number: 4.0 * (number >= 60) for number in range(300)}, max_lateness_s=0.002)
     numbers = np.concatenate([batch.sequence for batch in line.batches()])
-    assert set(range(60)) - set(map(int, numbers)) == set(range(20, 35))  # until half of the newest 31 are slow
+    assert set(range(300)) - set(map(int, numbers)) == set(range(60, 75))  # until half of the newest 31 are slow
+
+
+def test_angles_that_wait_for_a_report_of_the_shaft_come_without_it() -> None:
+    line = turning({})
+    line.period(report(3, 100) + report(4, 200), after_ms=8.0)  # read late, or left late: not known
+    assert len(line.batches()) == 300
+    line.all_answer()
+    assert len(line.batches()) == 302
+    line.period(report(3, 100) + report(4, 200), after_ms=8.0)
+    line.at(0, RX, b"")  # the end of the log
+    assert len(line.batches()) == 303
+    assert "late" not in line.losses
 
 
 def test_a_report_without_a_sync_or_too_late_gives_no_sample() -> None:

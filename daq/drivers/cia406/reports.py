@@ -98,6 +98,18 @@ class Marks:
             self._edge = None
         return out
 
+    def lateness_ns(self, instant: Instant, counts: int) -> float:
+        """Return by how much later than its instant a position was sampled, from the speed before, ns; 0 if unknown.
+
+        Whole revolutions are not seen: a difference of more than half a revolution may be one in the other direction.
+        """
+        rate = self._mean_per_ns() if self._past else 0.0
+        if not rate:
+            return 0.0
+        past_ns, position = self._past[-1]
+        expected = position + rate * (instant.time_ns - past_ns)
+        return math.remainder(counts / self._per_turn - expected, 1.0) / rate
+
     def _mean_per_ns(self) -> float:
         """Return the mean speed, revolutions per ns, limited; 0 if it is not known.
 

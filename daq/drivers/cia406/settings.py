@@ -57,8 +57,8 @@ class EncoderBus(RotorNodeSettings):
             timer.
         sync_delay_s: time from the host's write of a SYNC to the sampling, s; without SYNC: from the sampling to the
             host's read. Not verified: measure it.
-        max_lateness_s: a SYNC whose first report comes later than usual by more than this may have left late, s. The
-            time of the sampling is then too uncertain, and the samples count as missing.
+        max_lateness_s: a SYNC whose first report comes later than usual by more than this may have left late, s. If the
+            shaft has turned further by more than this too, it did, and the samples count as missing.
         heartbeat_ms: period of the encoders' heartbeats, ms.
         rate_Hz: samples per second; without SYNC its period must be whole milliseconds.
     """

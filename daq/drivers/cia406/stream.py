@@ -40,8 +40,8 @@ class EncoderPipeline:
         losses: see Pipeline. "samples": samples of both angles that are missing; "reports": reports of any encoder that
             are missing; "heartbeats": losses of an encoder's heartbeat; "unasked": reports that answer no SYNC or come
             too late; "invalid": reports that are too short, beyond the encoder's range, or of an encoder that started
-            again; "late": SYNCs whose samples are missing because the first report came too late for their time to be
-            certain; "foreign_syncs" are SYNCs of another host.
+            again; "late": SYNCs that left the host late, so that their samples are missing; "foreign_syncs" are SYNCs
+            of another host.
         has_reported, complaint: see DescribesItself.
 
     Args:
@@ -85,7 +85,8 @@ class EncoderPipeline:
         self._last_ns, self._period_ns = 0, period_ns
         self._echoes, self._has_sent = 0, False
         self._foreign_ns = self._late_ns = -_AGAIN_NS
-        self._late_number, self._asked_ns = -1, 0  # SYNC counted as late; host time of the newest SYNC
+        self._asked_ns = 0  # host time of the newest SYNC, whose …
+        self._shaft_seen = self._left_late = False  # … report of the shaft has come, and shows that it left late
         self._radian = 2 * math.pi / per_turn
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
@@ -131,7 +132,8 @@ class EncoderPipeline:
     def _asked(self, host_ns: int) -> Items:
         if not self._settings.sync:
             return
-        self._asked_ns = host_ns
+        yield from self._held()
+        self._asked_ns, self._shaft_seen, self._left_late = host_ns, False, False
         missing = self._sync.sync(host_ns)
         self._both = {}
         self.losses["reports"] += len(missing)
@@ -145,6 +147,11 @@ class EncoderPipeline:
                 yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
             elif missing == [name] == ["shaft"]:
                 yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+
+    def _held(self) -> Items:
+        """Take angles that wait for a report of the shaft that has not come."""
+        if len(self._both) == 2 and (instant := self._sync.newest) is not None:
+            yield from self._both_of(instant)
 
     # --- messages of an encoder --------------------------------------------------------------------------------
 
@@ -187,22 +194,27 @@ class EncoderPipeline:
             yield DeviceEvent("damage", self._device, text, {"lines": 1})
             return
         counts = self._turns[name].counts(raw)
-        if not self._sync.prompt:
-            yield from self._late(instant, host_ns)
-            return
         if name == "shaft":
+            lateness_ns = 0 if self._sync.prompt else self._marks.lateness_ns(instant, counts)
+            self._shaft_seen = True
+            if abs(lateness_ns) > self._settings.max_lateness_s * 1e9:
+                self._both, self._left_late = {}, True
+                yield from self._late(host_ns)
+                return
             yield from self._shaft(instant, counts)
-            return
-        self._both[name] = counts
-        if len(self._both) == 2:
-            lost, self._lost = self._lost, 0
-            yield from self._sample(instant, self._both["a"], self._both["b"], lost)
+        elif not self._left_late:
+            self._both[name] = counts
+        if len(self._both) == 2 and (self._shaft_seen or self._sync.prompt or "shaft" not in self._watches):
+            yield from self._both_of(instant)
 
-    def _late(self, instant: Instant, host_ns: int) -> Items:
-        """Count the samples of a SYNC as missing, at its first report."""
-        if instant.number == self._late_number:
-            return
-        self._late_number = instant.number
+    def _both_of(self, instant: Instant) -> Items:
+        """Take the angles of the newest SYNC."""
+        both, self._both = self._both, {}
+        lost, self._lost = self._lost, 0
+        yield from self._sample(instant, both["a"], both["b"], lost)
+
+    def _late(self, host_ns: int) -> Items:
+        """Count the samples of the newest SYNC as missing."""
         self.losses["late"] += 1
         self.losses["samples"] += 1
         self._lost += 1
@@ -210,8 +222,8 @@ class EncoderPipeline:
             self._late_ns = host_ns
             text = (
                 f"a SYNC was answered after {(host_ns - self._asked_ns) * 1e-6:.1f} ms, usually after "
-                f"{self._sync.usual_ns * 1e-6:.1f} ms, and max_lateness_s is {self._settings.max_lateness_s:g}: the "
-                "time of the sampling is uncertain, the samples count as missing. Look at the load of this host"
+                f"{self._sync.usual_ns * 1e-6:.1f} ms, and the shaft had turned further: it left late, and its samples "
+                "count as missing. Look at the load of this host"
             )
             yield DeviceEvent("gap", self._device, text, {"late": self.losses["late"]})
 
@@ -241,6 +253,7 @@ class EncoderPipeline:
                 yield from self._sample(instant, *values, missing)
 
     def _end(self) -> Items:
+        yield from self._held()
         if not self._settings.sync:
             for name, timer in self._timers.items():
                 yield from self._timed(name, timer.end())

@@ -25,7 +25,8 @@ class SyncTimes:
     """Assigns reports to the SYNC that they answer, and counts missing ones exactly.
 
     All encoders sample at the SYNC on the bus, between the host's write and the arrival of the first report. A first
-    report that is later than usual may therefore mean a SYNC that left late, and a sampling later than assumed.
+    report that is later than usual may therefore mean a SYNC that left late, and a sampling later than assumed; or only
+    a host that read late, which moves no time.
 
     Args:
         names: names of the encoders.
@@ -56,6 +57,14 @@ class SyncTimes:
         """Whether there was a SYNC; a log may begin between a SYNC and its reports."""
         return self._asked is not None
 
+    @property
+    def newest(self) -> Instant | None:
+        """Instant of the newest SYNC."""
+        if self._asked is None:
+            return None
+        time_ns = self._asked.host_ns + self._delay_ns
+        return Instant(self._asked.number, time_ns, time_ns)
+
     def _is_prompt(self, round_trip_ns: int) -> bool:
         self._round_trips.append(round_trip_ns)
         self.usual_ns = sorted(self._round_trips)[len(self._round_trips) // 2]
@@ -74,5 +83,4 @@ class SyncTimes:
         if not asked.answered:
             asked.prompt = self._is_prompt(host_ns - asked.host_ns)
         asked.answered.add(name)
-        time_ns = asked.host_ns + self._delay_ns
-        return Instant(asked.number, time_ns, time_ns)
+        return self.newest
