@@ -97,6 +97,7 @@ class RigObservation:
         clock_stds_ns: stated standard uncertainties of the devices' times on the common clock, ns, by device;
             medians of the second half.
         unopened: reasons why devices are not open, by device.
+        by_radio: devices that send their samples by radio.
         complaints: contradictions between what devices report of themselves and the rig file, by device.
     """
 
@@ -113,6 +114,7 @@ class RigObservation:
     clock_stds_ns: Mapping[str, float] = field(default_factory=dict[str, float])
     unopened: Mapping[str, str] = field(default_factory=dict[str, str])
     complaints: Mapping[str, str] = field(default_factory=dict[str, str])
+    by_radio: frozenset[str] = frozenset()
 
 
 def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
@@ -136,7 +138,7 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
         out[roles.locks.device] |= _locks(roles.angles, look.angles)
     for name, checks in out.items():
         lost = look.losses.get(name, {})
-        by_air = "radio_frames" in lost and roles.angles is not None
+        by_air = name in look.by_radio and roles.angles is not None
         on_air = roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0
         if name in look.clock_stds_ns:
             checks.update(_clock(look.clock_stds_ns[name], look.seconds))

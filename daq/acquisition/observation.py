@@ -10,7 +10,8 @@ import numpy as np
 from daq.acquisition.device_check import ObservedAngles, ObservedDisplacement, ObservedSpeed, RigObservation
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import MeasuresTimeOut, TimeOut
+from daq.drivers.contract import MeasuresTimeOut, SendsByRadio, TimeOut
+from daq.drivers.devices import devices_of
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
 from rig_configs.roles import PendulumAngles, Roles, SpeedSource
@@ -63,6 +64,9 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) / scale for name, found in stds.items()},
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
+        by_radio=frozenset(
+            name for name, each in devices_of(session.rig.devices).items() if isinstance(each.driver, SendsByRadio)
+        ),
     )
 
 

@@ -148,6 +148,17 @@ class CountsFrames(Protocol):
     heard_frames: tuple[int, int] | None
 
 
+@runtime_checkable
+class SendsByRadio(Protocol):
+    """A driver of devices that send their samples by radio, where a small share of them is lost on a healthy rig.
+
+    Attributes:
+        by_radio: True.
+    """
+
+    by_radio: bool
+
+
 class Talk(Protocol):
     """An open device during a dialogue of its driver: set-up, identification or stop."""
 

@@ -265,6 +265,14 @@ def test_an_adapter_that_is_always_slow_is_not_late(usual_ms: float) -> None:
     np.testing.assert_allclose(speeds_rpm(line), 1000.0, rtol=2e-2)
 
 
+def test_noise_at_rest_is_no_late_sync() -> None:
+    rng, line = np.random.default_rng(1), Line()
+    for number in range(3000):
+        after_ms = 9.0 if number % 50 == 49 else 1.0
+        line.period(report(3, 100) + report(4, 200) + report(5, int(rng.integers(100, 103))), after_ms=after_ms)
+    assert line.losses == {}
+
+
 def test_what_is_usual_follows_the_adapter() -> None:
     """The shaft turns further at each of these SYNCs, since it is not sampled in between."""
     line = turning({number: 4.0 * (number >= 60) for number in range(300)}, max_lateness_s=0.002)

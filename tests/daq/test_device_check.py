@@ -100,6 +100,7 @@ def healthy() -> Seen:
         events=[],
         displacements={"laser/x": rest, "laser/y": rest},
         clock_stds_ns={"laser_x": 2e4, "encoder": 9e4},
+        by_radio=frozenset({"encoder"}),
         time_out=TimeOut(0.51, 0.5, 0.03),
         angles=ObservedAngles(LOCKED, flags(96)),
         speed=ObservedSpeed(100.0, 0.0),
@@ -240,3 +241,12 @@ def test_messages_of_others_are_no_loss() -> None:
     """A neighbour's module on the same channel is passed over, counted and shown; the device is sound."""
     checks = replace(healthy(), losses={**healthy().losses, "encoder": {"foreign_frames": 12}}).judged()["encoder"]
     assert (checks["foreign_frames"].value, checks["foreign_frames"].passed) == (12, True)
+
+
+@pytest.mark.parametrize(("by_radio", "lost", "passes"), [(True, 100, True), (True, 101, False), (False, 1, False)])
+def test_only_a_radio_may_lose_a_small_share(by_radio: bool, lost: int, passes: bool) -> None:
+    """Of 2000 samples in 2 s; the node counts no frames, as MicroStrain nodes."""
+    look = replace(healthy(), by_radio=frozenset({"encoder"} if by_radio else ()))
+    checks = replace(look, losses={**look.losses, "encoder": {"samples": lost}}).judged()["encoder"]
+    assert checks["lost_samples"].passed is passes
+    assert checks["lost_samples"].expected == ("at most 5% of the samples" if by_radio else 0)

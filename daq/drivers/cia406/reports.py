@@ -60,6 +60,7 @@ class Marks:
     _AWAY = 0.125  # of a revolution
     _GAP = 1.5  # periods without a position after which some are missing
     _MEAN = 8  # steps over which the speed is averaged: one that is wrong must not count as rotation
+    _LEAST = 1 / 512  # of a revolution: smaller movements may be noise of a shaft at rest
     _LONGEST_NS = 1_000_000_000  # after a longer pause the revolutions in between are unknown, and no mark is given
 
     def __init__(self, per_turn: int, period_ns: int) -> None:
@@ -99,16 +100,18 @@ class Marks:
         return out
 
     def lateness_ns(self, instant: Instant, counts: int) -> float:
-        """Return by how much later than its instant a position was sampled, from the speed before, ns; 0 if unknown.
+        """Return by how much later than its instant a position was sampled, from the speed before, ns.
 
-        Whole revolutions are not seen: a difference of more than half a revolution may be one in the other direction.
+        It is 0 if the speed is not known, or so small that noise could be the cause. Whole revolutions are not seen: a
+        difference of more than half a revolution may be one in the other direction.
         """
         rate = self._mean_per_ns() if self._past else 0.0
-        if not rate:
+        if abs(rate) * self._MEAN * self._period_ns < self._LEAST:
             return 0.0
         past_ns, position = self._past[-1]
         expected = position + rate * (instant.time_ns - past_ns)
-        return math.remainder(counts / self._per_turn - expected, 1.0) / rate
+        difference = math.remainder(counts / self._per_turn - expected, 1.0)
+        return difference / rate if abs(difference) >= self._LEAST else 0.0
 
     def _mean_per_ns(self) -> float:
         """Return the mean speed, revolutions per ns, limited; 0 if it is not known.

@@ -31,6 +31,7 @@ class MicroStrain(PlainDriver):
     """
 
     name = "microstrain"
+    by_radio: bool = True
     rest_s: float = 0.01
     settings = MicroStrainNode
     example: ClassVar[Mapping[str, Any]] = {  # potentiometers of ten turns: their output does not repeat

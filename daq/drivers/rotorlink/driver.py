@@ -22,6 +22,7 @@ class RotorLink(RotorNodeDriver):
     """See Driver."""
 
     name = "rotorlink"
+    by_radio: bool = True
     settings = EncoderNode
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
     usual: tuple[Mapping[str, Any], ...] = ({}, {"baud": 460_800}, {"baud": 230_400})

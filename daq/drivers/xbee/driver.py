@@ -22,6 +22,7 @@ class XBee(RotorNodeDriver):
     """See Driver."""
 
     name = "xbee"
+    by_radio: bool = True
     settings = XBeeNode
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
