@@ -238,6 +238,14 @@ def test_a_report_after_a_prompt_one_is_of_the_same_instant() -> None:
     assert line.losses == {}
 
 
+def test_a_late_sync_that_an_encoder_has_not_answered_is_one_missing_sample() -> None:
+    line = turning({})
+    line.period(report(3, 100) + report(5, round((line.now_ms + 8.0) * 1e-3 * 1000 / 60 * 4096) % 4096), after_ms=9.0)
+    line.all_answer()
+    assert line.losses == {"reports": 1, "samples": 1, "late": 1}
+    assert line.events("gap")[-1].facts["samples"] == 1
+
+
 def test_answers_that_are_only_read_late_lose_nothing() -> None:
     prompt, late = turning({}), turning({}, dict.fromkeys(range(20, 300, 5), 8.0))
     assert late.losses == prompt.losses == {}

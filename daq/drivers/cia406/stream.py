@@ -133,11 +133,12 @@ class EncoderPipeline:
         if not self._settings.sync:
             return
         yield from self._held()
-        self._asked_ns, self._shaft_seen, self._left_late = host_ns, False, False
+        counted, self._left_late = self._left_late, False
+        self._asked_ns, self._shaft_seen = host_ns, False
         missing = self._sync.sync(host_ns)
         self._both = {}
         self.losses["reports"] += len(missing)
-        if not {"a", "b"}.isdisjoint(missing):
+        if not counted and not {"a", "b"}.isdisjoint(missing):
             self._lost += 1
             self.losses["samples"] += 1
         for name in self._watches:
