@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +23,9 @@ from daq.discovery.opening import PortNotOpened, has_line_rate, open_port, progr
 from daq.discovery.ports import UsbIdentity, can_channels, serial_ports, usb_can_adapters, usb_facts
 from daq.discovery.tables import Table, device_tables
 from daq.drivers.contract import DeviceLine, Driver
-from daq.drivers.identification import Announcement, FoundDevice, NetworkDevice, trial_settings
+from daq.drivers.identification import Announcement, AnnouncesItself, FoundDevice, NetworkDevice, trial_settings
+from daq.drivers.labjack import identity
+from daq.drivers.labjack.identity import found as found_labjack
 from daq.drivers.registry import driver
 from daq.drivers.vesc.identity import announced
 from daq.errors import LinkLost
@@ -305,6 +307,66 @@ def test_texts_of_a_device_cannot_end_a_line() -> None:
 def test_an_announcement_of_a_controller_holds_its_address(data: bytes, expected: str | None) -> None:
     found = announced(data, "10.0.0.9")
     assert (found and found.port) == expected
+
+
+LABJACK_REQUEST = bytes.fromhex("5052 0000 000E 01 4C 00EA6002 00EA6402 00EA7C02")
+LABJACK_ANSWER = bytes.fromhex("5052 0000 000E 01 4C 40E00000 3F83BCD3 1C03A1D9")
+
+
+@pytest.mark.parametrize(
+    ("at", "data", "model"),
+    [
+        (0, b"", "T7"),
+        (8, b"\x40\x80", "T4"),
+        (8, b"\x40\x40", None),  # product 3
+        (0, b"\x50\x53", None),  # the answer to another request
+        (2, b"\x00\x01", None),  # no Modbus
+        (5, b"\x02\x01\xcc\x01", None),  # a refusal
+        (5, b"\x0f", None),  # cut
+    ],
+)
+def test_an_answer_to_the_search_for_a_labjack(at: int, data: bytes, model: str | None) -> None:
+    answer = LABJACK_ANSWER[:at] + data + LABJACK_ANSWER[at + len(data) :]
+    found = found_labjack(answer, "10.0.0.9")
+    assert (found and found.found.identity["model"]) == model
+    for cut in range(len(answer)):
+        assert found_labjack(answer[:cut], "10.0.0.9") is None or cut >= 10
+
+
+def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    labjack = driver("labjack")
+    assert isinstance(labjack, AnnouncesItself)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
+        device.bind(("127.0.0.1", 0))
+        device.settimeout(10)
+        monkeypatch.setattr(network, "_BROADCAST", "127.0.0.1")
+        clock = PromptClock()
+        received: list[bytes] = []
+
+        def read_and_end(data: bytes, host: str) -> NetworkDevice | None:
+            clock.now += 10.0  # the search ends at once: an answer has been taken
+            return found_labjack(data, host)
+
+        own = replace(labjack.announcement, read=read_and_end, request_port=device.getsockname()[1])
+        monkeypatch.setattr(identity, "ANNOUNCEMENT", own)
+
+        def answer() -> None:
+            data, host = device.recvfrom(100)
+            received.append(data)
+            device.sendto(LABJACK_ANSWER, host)
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        found, notes = announced_devices([labjack], clock)
+        answering.join()
+    assert received == [LABJACK_REQUEST], "at most 64 bytes: the device's limit by UDP"
+    assert notes == []
+    (one,) = found
+    assert one.device.port == "socket://127.0.0.1:502"
+    assert one.device.found.identity == {"model": "T7", "firmware": 1.0292, "serial": 470000089}
+    ((name, text),) = device_tables([Table(one.driver, one.device.port, one.device.found)])
+    assert name == "labjack"
+    assert "serial = 470000089" in text
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 from daq.drivers.contract import Talk
 from daq.drivers.labjack import wire
+from daq.drivers.labjack.identity import IDENTITY_READS, MODELS, parse_identity
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.stream import BUFFER_BYTES
 from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, VoltScale, nominal, read_constants
@@ -19,7 +20,6 @@ from daq.errors import DeviceError
 ANSWER_S = 1.0
 """Wall time within which the device answers a command, s."""
 _TRIES = 3
-_MODELS = {4.0: "T4", 7.0: "T7"}
 _SINGLE_ENDED = 199
 
 
@@ -87,12 +87,12 @@ def identify(device: str, settings: LabJack, commands: Commands) -> dict[str, An
         RequestRefused: the device refuses.
     """
     place = f"{device} on {settings.port}"
-    reads = [wire.read(register, 2) for register in (Register.PRODUCT, Register.FIRMWARE, Register.SERIAL)]
-    answer = commands.ask(reads)
-    if len(answer) != 12:
+    answer = commands.ask(IDENTITY_READS)
+    values = parse_identity(answer)
+    if values is None:
         raise DeviceError(f"{place}: expected product, firmware and serial number, got {answer.hex()!r}")
-    product, firmware, serial = struct.unpack(">ffI", answer)
-    model = _MODELS.get(product)
+    product, firmware, serial = values
+    model = MODELS.get(product)
     if model is None:
         raise DeviceError(f"{place}: expected a LabJack T4 or T7, got product {product:g}")
     if settings.serial and serial != settings.serial_number:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.contract import DeviceLine, Pipeline, Poller, SampleClock, Talk
+from daq.drivers.identification import Announcement
 from daq.drivers.labjack.settings import LabJack, other_topic
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
@@ -21,7 +22,7 @@ _NUMBER_WRAP = 2**32
 
 
 class LabJackDriver(PlainDriver):
-    """See Driver."""
+    """See Driver and AnnouncesItself: a device answers the search request of its maker."""
 
     name = "labjack"
     rest_s: float = 0.002
@@ -32,6 +33,13 @@ class LabJackDriver(PlainDriver):
         "others": {"accel": {"input": "AIN3", "quantity": "acceleration_m_per_s2", "per_V": 10.0, "zero_V": 2.5}},
     }
     claims: frozenset[str] = frozenset({"falls silent"})
+
+    @property
+    def announcement(self) -> Announcement:
+        """See AnnouncesItself."""
+        from daq.drivers.labjack.identity import ANNOUNCEMENT
+
+        return ANNOUNCEMENT
 
     def line(self, settings: LabJack) -> DeviceLine:
         """See Driver. The line is a TCP connection, which has no rate."""
