@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 
 import pytest
@@ -23,6 +24,13 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("suite")
+
+
+def pytest_collection_finish() -> None:
+    """Exempt what collection left from garbage collection: each full one would take 0.4 s, dozens of times a run."""
+    gc.collect()
+    gc.freeze()
+
 
 TIME_SCALE = 5.0
 LATE_BEATS = "devices.drive.heartbeat_timeout_ms=800"
