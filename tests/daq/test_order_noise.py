@@ -98,7 +98,7 @@ def stated_over_scatter(found: list[WindowMeans]) -> float:
 
 @pytest.mark.parametrize("at", [0.0, 0.8, 1.57])
 def test_amplitudes_have_the_noise_along_their_vectors(at: float) -> None:
-    """Slow noise leaks into the sine more than into the cosine: which of the two is the length depends on the vector."""
+    """Slow noise leaks into the sine more than into the cosine: the vector decides which is its length."""
     found = [sizes(seed, wander_m=2e-5, at=at) for seed in range(12)]
     assert stated_over_scatter(found) == pytest.approx(1.0, rel=0.35)
 
