@@ -28,7 +28,7 @@ from daq.drivers.contract import (
 from daq.drivers.played import PlayedDevice
 from daq.errors import LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.host_clock import HostClock
+from daq.transports.host_clock import HostClock, Repeated
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.units import TO_RPM
@@ -62,10 +62,23 @@ class RigTime(HostClock):
     def __init__(self, time: SimulatedTime) -> None:
         super().__init__()
         self._time = time
+        self._repeated: list[Repeated] = []
 
     def now_ns(self) -> int:
         """See HostClock."""
         return START_NS + round(self._time.now_s * 1e9)
+
+    def every(
+        self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
+    ) -> Repeated:
+        """See HostClock."""
+        self._repeated.append(super().every(wall_seconds, do, name, failed))
+        return self._repeated[-1]
+
+    def end(self) -> None:
+        """End the periodic actions that nothing has ended: their threads would go on with the process."""
+        for each in self._repeated:
+            each.stop()
 
 
 class SetClockWorld(World):
@@ -198,12 +211,15 @@ class DriverBench:
 
     @contextlib.contextmanager
     def running(self) -> Generator[DriverBench]:
-        """Simulated time passes while a thread waits. At the end the link is lost for threads that still run."""
-        with self.time.running():
-            try:
-                yield self
-            finally:
-                self.closed = True
+        """Simulated time passes while a thread waits. At the end the link is lost, and periodic actions end."""
+        try:
+            with self.time.running():
+                try:
+                    yield self
+                finally:
+                    self.closed = True
+        finally:
+            self.clock.end()
 
     def begin(self) -> None:
         """Open the device as a session does, and start a recording with a fresh pipeline that has its identity."""
