@@ -17,6 +17,7 @@ from rig_configs.schema import Rig
 
 _POINT_LIMIT_S = 90.0
 _EXTENSION_S = 60.0  # beyond that limit, while the remaining change is bounded and predicted to end within this time
+_DOUBT_S = 5.0  # the extension outlasts looks that contradict it, such as after a correction of a device's clock
 _MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, rig s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
@@ -100,7 +101,10 @@ def settle_state(
         last = view.measures.steady(since_ns, step_rad, _SECOND_LIMITS if again else _FIRST_LIMITS, free)
         over = (again and last.settled) or (not last.settled and ends(view, last))
         near = last.settled or (last.approaching and since + last.more_s < _POINT_LIMIT_S + _EXTENSION_S)
+        near_ns = view.now_ns if near else view.memory.get("near_ns")
+        near = near_ns is not None and view.now_ns < near_ns + _DOUBT_S * 1e9
         seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
+        seen["near_ns"] = near_ns
         facts = {"settled": over and last.settled, "why": last.why}
         return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", store=seen, facts=facts, near=near)
 

@@ -355,11 +355,19 @@ SLOWEST = math.inf  # s until it is steady: never
 
 
 @pytest.mark.parametrize(
-    ("steady_s", "reached", "waited_s"),
-    [(20.0, True, 22.5), (95.0, True, 97.5), (140.0, True, 142.5), (155.0, False, 92.5), (SLOWEST, False, 92.5)],
+    ("steady_s", "reached", "waited_s", "contradicted_s"),
+    [
+        (20.0, True, 22.5, ()),
+        (95.0, True, 97.5, ()),
+        (140.0, True, 142.5, ()),
+        (155.0, False, 92.5, ()),
+        (SLOWEST, False, 92.5, ()),
+        (110.0, True, 112.5, (95.0, 98.0)),  # as by a clock that was corrected
+        (110.0, False, 100.0, (95.0, 105.0)),
+    ],
 )
 def test_a_point_that_is_nearly_steady_at_its_limit_gets_the_time_it_needs(
-    steady_s: float, reached: bool, waited_s: float, tmp_path: Path
+    steady_s: float, reached: bool, waited_s: float, contradicted_s: tuple[float, ...], tmp_path: Path
 ) -> None:
     bench, waited = Bench(RIG), 0.0
 
@@ -367,8 +375,10 @@ def test_a_point_that_is_nearly_steady_at_its_limit_gets_the_time_it_needs(
         """What a rig shows that approaches its steady state at a known rate."""
 
         def steady(self, since_ns: int, *_: object) -> Settling:
-            left_s = steady_s - (bench.clock.ns - since_ns) * 1e-9
-            bounded = math.isfinite(left_s)
+            since_s = (bench.clock.ns - since_ns) * 1e-9
+            left_s = steady_s - since_s
+            contradicted = bool(contradicted_s) and contradicted_s[0] < since_s < contradicted_s[1]
+            bounded = math.isfinite(left_s) and not contradicted
             remaining = 3e-6 if bounded else math.inf
             facts = {"drift_rad": 0.0, "remaining_rad": 0.0, "drift_m": 0.0, "remaining_m": remaining}
             facts |= {"span_s": 9.0, "more_s": max(0.0, left_s)}
