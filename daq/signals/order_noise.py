@@ -4,8 +4,7 @@ A fit over m whole revolutions is a rectangular window on the signal. Slow parts
 leak into the vector. The coefficients at k/m of the rotor's frequency, with k not a multiple of m, have the same window
 and the same leakage. They contain no motion except the leakage of a changing vector, which is computed from the change
 and removed. Their power, interpolated to k = m as a power law, is the vector's variance for any noise spectrum.
-Differences of neighbouring samples contain the white part only. The coefficients on either side of the order show its
-parts along and across the vector: errors of the phase turn a vector and leave its length.
+Differences of neighbouring samples contain the white part only.
 Source: docs/theory/steady_states.md, "Noise that is not white".
 """
 
@@ -35,19 +34,17 @@ class OrderNoise:
     """Noise of an order-1 vector beyond the white part.
 
     Attributes:
-        along, across: ratio of the standard deviation of that part of the vector to that from white noise alone; both
+        real, imaginary: ratio of the standard deviation of that part of the vector to that from white noise alone; both
             1 if only white noise is found.
         neighbours: correlation of the errors of two adjacent windows; 0 if none is found.
     """
 
-    along: float = 1.0
-    across: float = 1.0
+    real: float = 1.0
+    imaginary: float = 1.0
     neighbours: float = 0.0
 
 
-def order_noise(
-    windows: Sequence[tuple[Array, Array]], vectors: Complex, white: float, turns: int, along: Complex | None = None
-) -> OrderNoise:
+def order_noise(windows: Sequence[tuple[Array, Array]], vectors: Complex, white: float, turns: int) -> OrderNoise:
     """Estimate the noise of order-1 vectors from the coefficients next to the order.
 
     Args:
@@ -56,8 +53,6 @@ def order_noise(
         vectors: X of each window, x = Re(X e^{iψ}), shape (windows,), unit of the signal.
         white: standard deviation of the real or the imaginary part of X from white noise.
         turns: number of revolutions m.
-        along: direction along which the noise is estimated, of each window, unit length, shape (windows,); None: 1, so
-            that `along` and `across` of the result are those of the real and the imaginary part.
     """
     bins = [k for k in range(max(1, turns - _REACH), turns + _REACH + 1) if k % turns]
     first = max(0, len(windows) - _NEWEST)
@@ -72,27 +67,10 @@ def order_noise(
     if above < _MIN_DEVIATIONS * scatter:
         return OrderNoise()
     scaled = coefficients / np.sqrt(levels)
-    share = _share_along(scaled / (begin if along is None else begin * along[first:, None]), turns, bins)
-    parallel, perpendicular = (max(1.0, math.sqrt(math.exp(above) * 2 * part)) for part in (share, 1 - share))
-    return OrderNoise(parallel, perpendicular, _neighbours(scaled))
-
-
-def _share_along(turned: Complex, turns: int, bins: Sequence[int]) -> float:
-    """Return the share of the noise's power that is in the real part of vectors whose direction is real.
-
-    Two coefficients at the same distance from the order m are conjugates if the noise is real, and conjugates with the
-    opposite sign if it is imaginary. If they are independent, the share is one half.
-
-    Args:
-        turned: coefficients relative to the vectors' direction, shape (windows, bins).
-        turns: m.
-        bins: k of each coefficient.
-    """
-    offsets = [k - turns for k in bins if k > turns and 2 * turns - k in bins]
-    above = turned[:, [bins.index(turns + q) for q in offsets]]
-    below = np.conj(turned[:, [bins.index(turns - q) for q in offsets]])
-    real, imaginary = (float(np.median(np.abs(each) ** 2)) for each in (above + below, above - below))
-    return real / (real + imaginary)
+    turned = scaled / begin
+    parts = np.median(np.real(turned) ** 2), np.median(np.imag(turned) ** 2)
+    real, imaginary = (math.sqrt(math.exp(above) * 2 * float(part) / float(sum(parts))) for part in parts)
+    return OrderNoise(max(1.0, real), max(1.0, imaginary), _neighbours(scaled))
 
 
 def _coefficients(phase: Array, rest: Array, turns: int, bins: Sequence[int]) -> Complex:

@@ -74,22 +74,15 @@ class Cut:
             rest[:, part] -= fit[:, j].T @ self._basis[:, part]
         return rest
 
-    def order_noise(self, fit: NDArray[np.floating], white: float, *, radial: bool = False) -> OrderNoise:
-        """Noise of the first column's order-1 vectors.
-
-        Args:
-            fit: the orders.
-            white: deviation of the vectors' parts from white noise.
-            radial: along the vectors themselves, in place of their real parts.
-        """
+    def order_noise(self, fit: NDArray[np.floating], white: float) -> OrderNoise:
+        """Noise of the first column's order-1 vectors; white: deviation of their parts from white noise."""
         kept = np.flatnonzero(self.enough)
         rest = self.rest(fit)[0]
         parts = [slice(self.where[j], self.where[j + 1]) for j in kept]
         spans = [self.phase[part][-1] - self.phase[part][0] for part in parts]
         turns = round(float(np.median(spans)) / (2 * math.pi))
         windows = [(self.phase[part], rest[part]) for part in parts]
-        vectors = fit[1, kept, 0] - 1j * fit[2, kept, 0]
-        return order_noise(windows, vectors, white, turns, np.exp(1j * np.angle(vectors)) if radial else None)
+        return order_noise(windows, fit[1, kept, 0] - 1j * fit[2, kept, 0], white, turns)
 
     @cached_property
     def _basis(self) -> Array:

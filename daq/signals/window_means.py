@@ -162,14 +162,9 @@ def amplitude_means(
         white = float(
             np.median(np.sqrt(cut.mean(squared(np.diff(cut.values, 2)), kept)[:, 0] / (3 * cut.counts[kept])))
         )
-        beyond.append(cut.order_noise(fit, white, radial=True))
-        noise.append(_radial(white * beyond[-1].along, white * beyond[-1].across, float(np.median(columns[-1]))))
+        beyond.append(cut.order_noise(fit, white))
+        noise.append(white * max(beyond[-1].real, beyond[-1].imaginary))
     return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond], beyond)
-
-
-def _radial(along: float, across: float, size: float) -> float:
-    """Return the deviation of a vector's length; an error across it counts by its second order, at most by itself."""
-    return math.hypot(along, across * min(1.0, across / max(size, 1e-300)))
 
 
 def orbit_means(
@@ -197,7 +192,7 @@ def orbit_means(
         each = np.sqrt(cut.mean(squared(np.diff(cut.rest(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         white = float(np.median(each))
         beyond.append(cut.order_noise(fit, white))
-        noise += [white * beyond[-1].along, white * beyond[-1].across]
+        noise += [white * beyond[-1].real, white * beyond[-1].imaginary]
     return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond for _ in range(2)], beyond)
 
 
