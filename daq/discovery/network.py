@@ -49,7 +49,8 @@ def announced_devices(drivers: Iterable[Driver], clock: HostClock) -> tuple[list
             try:
                 sockets[stack.enter_context(_opened(driver))] = (driver, driver)
             except OSError as error:
-                notes.append(f"{driver.name}: UDP port {driver.announcement.port} cannot be used: {error}")
+                port = driver.announcement.port or driver.announcement.request_port
+                notes.append(f"{driver.name}: UDP port {port} cannot be used: {error}")
                 continue
             wait_s = max(wait_s, driver.announcement.wait_s)
         end = clock.wall_s() + wait_s

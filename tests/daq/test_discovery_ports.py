@@ -329,8 +329,7 @@ def test_an_answer_to_the_search_for_a_labjack(at: int, data: bytes, model: str 
     answer = LABJACK_ANSWER[:at] + data + LABJACK_ANSWER[at + len(data) :]
     found = found_labjack(answer, "10.0.0.9")
     assert (found and found.found.identity["model"]) == model
-    for cut in range(len(answer)):
-        assert found_labjack(answer[:cut], "10.0.0.9") is None or cut >= 10
+    assert all(found_labjack(answer[:cut], "10.0.0.9") is None for cut in range(len(answer)))
 
 
 def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -454,6 +453,9 @@ def test_a_port_that_cannot_be_used_is_a_note(monkeypatch: pytest.MonkeyPatch) -
         raise OSError("Address already in use")
 
     monkeypatch.setattr(network, "_opened", fails)
-    found, notes = announced_devices([driver("vesc")], PromptClock())
+    found, notes = announced_devices([driver("vesc"), driver("labjack")], PromptClock())
     assert found == []
-    assert notes == ["vesc: UDP port 65109 cannot be used: Address already in use"]
+    assert notes == [
+        "vesc: UDP port 65109 cannot be used: Address already in use",
+        "labjack: UDP port 52362 cannot be used: Address already in use",
+    ]

@@ -12,7 +12,7 @@ from rig_testing.bench import DriverBench
 
 @pytest.mark.parametrize("name", ["labjack", "vesc", "cia402", "modbus_converter"])
 def test_threads_of_polls_and_commands_end_with_the_simulated_time(name: str) -> None:
-    """Those of earlier benches took a third of the processor time of a whole run of the tests."""
+    """Those of earlier benches took a third of the time of a whole run of the tests."""
     before = set(threading.enumerate())
     bench = DriverBench(driver(name))
     with bench.running():
