@@ -227,7 +227,9 @@ class ClockMap:
         unexplained = 0.0
         if sum(entry[3] for entry in self._late) >= _LATE_READS:
             unexplained = max(0.0, min(map(_lag_of, self._late)) - self._target(self._at)[0])
-        return float(self._line_std_ns + abs(self._target(self._at)[0] - self._lag) + unexplained)
+        first = _FIRST_STD_NS / sum(entry[3] for entry in self._bins) ** 2  # the least of n delays decreases with 1/n
+        line = max(self._line_std_ns, first)
+        return float(line + abs(self._target(self._at)[0] - self._lag) + unexplained)
 
     @property
     def _line_std_ns(self) -> float:

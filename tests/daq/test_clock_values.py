@@ -356,3 +356,147 @@ def test_reads_that_are_all_late_are_part_of_the_stated_uncertainty() -> None:
     clock, errors = with_step(15.0, seconds=11.0)
     assert abs(errors[-1]) > 14.0
     assert clock.std_ns > 14e6
+
+
+def in_time(reads: int = 1000) -> ClockMap:
+    """Clock after reads every 10 ms without any delay."""
+    clock = ClockMap(50.0)
+    for k in range(reads):
+        mapped(clock, 10.0 * k)
+    return clock
+
+
+def test_the_stated_uncertainty_is_eight_mean_latenesses_over_the_number_of_reads() -> None:
+    """The mean has a weight of 1/64 for a read, or 1/n of the first reads; it counts as 20 µs at least."""
+    clock = in_time()
+    assert clock.std_ns == pytest.approx(3e3 + 8 * 20e3 / 1000, abs=0.1)
+    for k in range(9):
+        mapped(clock, 10_000.0 + 10 * k, 4.0)
+    assert clock.std_ns == pytest.approx(3e3 + 8 * 4e6 * (1 - (63 / 64) ** 9) / 1009, abs=0.1)
+    first = in_time(30)
+    for k in range(9):
+        mapped(first, 300.0 + 10 * k, 4.0)
+    without_rate = 50e-6 * 380 * MS  # no line yet: the rate is uncertain by the tolerance since the least late read
+    assert first.std_ns == pytest.approx(3e3 + 8 * 9 * 4e6 / 39 / 39 + without_rate, abs=0.1)
+
+
+@pytest.mark.parametrize(("reads", "late_ms", "added_ms"), [(9, 4.0, 0.0), (10, 4.0, 4.0), (20, 4.0, 4.0)])
+def test_ten_late_reads_in_sequence_are_part_of_the_stated_uncertainty(
+    reads: int, late_ms: float, added_ms: float
+) -> None:
+    clock = in_time()
+    for k in range(reads):
+        mapped(clock, 10_000.0 + 10 * k, late_ms)
+    assert clock.std_ns / MS == pytest.approx(added_ms, abs=0.02)
+
+
+def test_a_read_in_time_ends_a_sequence_of_late_reads() -> None:
+    clock = in_time()
+    for k in range(30):
+        mapped(clock, 10_000.0 + 10 * k, 4.0 if k % 10 else 0.0)
+    assert clock.std_ns / MS < 0.02
+
+
+def test_a_read_is_late_above_half_the_mean_lateness() -> None:
+    """Every second read is late by 8 ms, so the mean is 4 ms; then all reads are late by 1.9 ms, or by 2.2 ms."""
+    for late_ms, added in ((1.9, False), (2.2, True)):
+        clock = ClockMap(50.0)
+        for k in range(1000):
+            mapped(clock, 10.0 * k, 8.0 * (k % 2))
+        mapped(clock, 10_000.0)
+        for k in range(1, 11):
+            mapped(clock, 10_000.0 + 10 * k, late_ms)
+        assert (clock.std_ns / MS > late_ms) is added
+
+
+@pytest.mark.parametrize(("early_ms", "again"), [(0.19, False), (0.21, True)])
+def test_a_read_of_a_precise_clock_is_a_step_back_if_it_is_200_us_early(early_ms: float, again: bool) -> None:
+    """After a step the estimate rests on this read alone."""
+    clock = in_time()
+    mapped(clock, 10_000.0, -early_ms)
+    assert (clock.std_ns > 100e3) is again
+
+
+@pytest.mark.parametrize(("stds", "again"), [(4.9, False), (5.1, True)])
+def test_a_read_is_a_step_back_if_it_is_five_standard_uncertainties_early(stds: float, again: bool) -> None:
+    clock = ClockMap(50.0)
+    for k in range(500):
+        mapped(clock, 10.0 * k, 10.0 * (k % 2))
+    std_ms = clock.std_ns / MS
+    assert 5 * std_ms > 0.25
+    mapped(clock, 5000.0, -stds * std_ms)
+    assert (clock.std_ns > 10e6) is again
+
+
+@pytest.mark.parametrize(
+    ("least_ms", "reads", "stepped"),
+    [
+        ((40.0, 40.0, 40.0, 40.0), 5, True),
+        ((40.0, 40.0, 40.0), 20, False),  # bins of a quarter of a second
+        ((40.0, 40.0, 40.0, 40.0), 4, False),  # 16 reads
+        ((20.1, 20.1, 20.1, 20.1), 5, True),
+        ((20.0, 20.0, 20.0, 20.0), 5, False),
+        ((40.0, 49.9, 40.0, 40.0), 5, True),
+        ((40.0, 50.0, 40.0, 40.0), 5, False),
+        ((50.0, 50.0, 40.0, 50.0), 5, False),
+    ],
+)
+def test_a_step_forward_has_four_bins_twenty_reads_20_ms_and_equal_least_lags(
+    least_ms: tuple[float, ...], reads: int, stepped: bool
+) -> None:
+    """Between the least lags a quarter of the step is allowed."""
+    clock = in_time()
+    for number, lag_ms in enumerate(least_ms):
+        for k in range(reads):
+            mapped(clock, 10_000.0 + 250 * number + 10 * k, lag_ms + (3.0 if k else 0.0))
+    end_ms = 10_000.0 + 250 * len(least_ms)
+    assert mapped(clock, end_ms, 60.0) == pytest.approx(0.0, abs=0.01)
+    assert mapped(clock, end_ms + 1, 60.0) == pytest.approx(min(least_ms) if stepped else 0.0, abs=0.2)
+
+
+def test_four_bins_with_nineteen_reads_wait_for_the_twentieth() -> None:
+    clock, jumps = in_time(), list[int]()
+    for number in range(8):
+        for k in range(5 if number != 2 else 4):
+            if mapped(clock, 10_000.0 + 250 * number + 10 * k, 40.0) > 30.0:
+                jumps.append(number)
+    assert jumps[0] == 7  # bins 3 to 6 are the first four with twenty reads
+
+
+def test_a_bin_is_a_quarter_of_a_second_to_the_nanosecond() -> None:
+    """The eighth bin ends with the last nanosecond before 2 s: no line is fitted before."""
+    clock = ClockMap(50.0)
+    for k in range(9):
+        assert rate_after(clock) == 0.0 if k else clock.seed(2**40) is None
+        for at_ns in (250 * MS * k, 250 * MS * (k + 1) - 1):
+            if k < 8:
+                late_ns = at_ns // 10_000  # 100 ppm
+                clock.map(np.array([DEVICE0_NS + at_ns]), START_NS + at_ns + late_ns)
+    clock.map(np.array([DEVICE0_NS + 2000 * MS]), START_NS + 2000 * MS + 2000 * MS // 10_000)
+    assert rate_after(clock) == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_a_correction_of_the_first_rules_goes_on_at_the_rate_of_its_time_constant() -> None:
+    """An error of 50 ms is corrected by 50/300 of the time, also over a million seconds."""
+    clock = ClockMap(50.0, rules=1)
+    for at_ms in (0.0, 10.0):
+        mapped(clock, at_ms, 50.0 - 5.0 * at_ms)
+    left_ms = 50.0 * 29 / 30
+    assert mapped(clock, 20.0) == pytest.approx(left_ms, abs=1e-6)
+    assert mapped(clock, 20.0 + 1e9) == pytest.approx(left_ms - left_ms / 300 * 1e9, rel=1e-9)
+
+
+def test_the_bins_of_a_record_are_a_twentieth_of_the_whole_record() -> None:
+    """Reads at 0 s and from 10 to 30 s every 0.5 s, every third one in time: each bin of 1.5 s has one of these."""
+    device_s = np.concatenate(([0.0], np.arange(10.5, 30.25, 0.5)))
+    late_s = np.where(np.arange(len(device_s)) % 3 == 0, 0.0, 0.01)
+    late_s[-1] = 0.0  # alone in its bin
+    line = fit_line(device_s, device_s + late_s, 50.0)
+    assert line.jitter_s == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_first_reads_may_be_late() -> None:
+    """The delay of the first reads is uncertain by 10 ms, which decreases with the square of their number."""
+    assert in_time(1).std_ns == 10e6
+    assert in_time(10).std_ns == pytest.approx(100e3, rel=1e-6)
+    assert in_time(300).std_ns < 4e3
