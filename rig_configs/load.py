@@ -312,7 +312,7 @@ def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'], raw)}"
     got = error.get("input")
-    if error["type"] == NO_DRIVER and len(error["loc"]) == 2:
+    if error["type"] == NO_DRIVER:
         others = [name for name in raw.get("devices", {}) if name != error["loc"][1]]
         if near := difflib.get_close_matches(str(error["loc"][1]), others, n=1, cutoff=0.7):
             return f"{key}: a device without a driver; did you mean devices.{near[0]}?"

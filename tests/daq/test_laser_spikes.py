@@ -136,7 +136,12 @@ def test_a_false_sample_is_kept_as_it_came_marked_and_counted() -> None:
     assert np.flatnonzero(suspects(batch.columns["flags"])).tolist() == [300]
     assert np.flatnonzero(batch.columns["flags"]).tolist() == [300 + LOOK_AHEAD]
     assert (event.kind, event.facts["suspect"], event.facts["time_ns"]) == ("suspect", 1, batch.time_ns[300])
+    assert event.text == "a sample jumps out of the signal for one sample: marked as suspect"
     assert {kind: n for kind, n in pipeline.losses.items() if n} == {"suspect": 1}
+    codes[400] ^= 1 << 12
+    _, event = laser().feed(RX, wire(codes), START_NS)
+    assert isinstance(event, DeviceEvent)
+    assert event.text == "2 samples jump out of the signal for one sample: marked as suspect"
 
 
 def test_identification_excludes_marked_samples_and_the_log_keeps_them(tmp_path: Path) -> None:

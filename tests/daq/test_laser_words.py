@@ -84,6 +84,21 @@ def test_an_answer_that_is_not_true_costs_nothing(announced: list[str], at: int,
     assert sum(event.kind == "reply" for event in events) == 2
 
 
+def test_an_answer_that_is_not_true_is_reported_with_its_words() -> None:
+    data = stream(USUAL, K[:40]) + answer("DIST", "INTENSITY", "COUNTER") + stream(USUAL, K[40:])
+    _, events = fed([data], pipeline())
+    assert [event.text for event in events if event.kind == "words"] == [
+        "an answer announces the words DIST INTENSITY COUNTER, the stream does not consist of them: ignored"
+    ]
+
+
+def test_an_answer_that_repeats_the_present_words_changes_nothing() -> None:
+    data = stream(USUAL, K[:40]) + answer("DIST", "INTENSITY") + answer(*USUAL) + stream(USUAL, K[40:])
+    rows, events = fed([data], pipeline())
+    assert [row[1] for row in rows] == (K % 2**18).tolist()
+    assert [event.text for event in events if event.kind == "words"] == []
+
+
 @pytest.mark.parametrize(
     "announced",
     [

@@ -262,6 +262,14 @@ def test_a_report_is_a_sample_with_the_hosts_target() -> None:
     assert line.lost() == {}
 
 
+def test_a_run_command_before_any_reference_has_the_target_0() -> None:
+    line = Line()
+    line.ask(wire.encode(wire.Request(1, 6, 0x2000, 1, (1,))))
+    line.hear(frame("01 06 20 00 00 01"))
+    line.poll(counts=0)
+    assert [row[1] for row in line.rows] == [0.0]
+
+
 def test_signed_words_of_reference_and_speed() -> None:
     line = Line(table="altivar")
     line.ask(wire.encode(wire.Request(1, 6, 8602, 1, (0xFED4,))))

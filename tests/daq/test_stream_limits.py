@@ -13,6 +13,7 @@ from daq import channels
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.contract import DescribesItself
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.riftek import wire as riftek
@@ -88,6 +89,13 @@ def test_a_state_is_reported_when_it_changes() -> None:
         ("drive", "FAULT"),
     ]
     assert [event.facts["statusword"] for event in found] == [0x0637, 0x0633, 0x0608]
+
+
+def test_a_drive_without_reports_has_described_itself() -> None:
+    """The length of a report alone can contradict the rig file."""
+    pipeline = DrivePipeline("drive", DRIVE)
+    assert isinstance(pipeline, DescribesItself)
+    assert (pipeline.has_reported, pipeline.complaint) == (True, "")
 
 
 def test_damaged_lines_are_counted_and_reported() -> None:

@@ -211,6 +211,19 @@ def test_noise_near_order_one_is_in_the_noise_of_its_vector() -> None:
     assert found.noise[2:] == pytest.approx([1e-7 * math.sqrt(2 / 2240)] * 2, rel=0.1)
 
 
+def test_noise_near_order_one_of_one_laser_is_not_in_the_amplitudes_of_the_other() -> None:
+    t = np.arange(0.0, 20.0, 1 / 2000)
+    drift = np.convolve(1e-6 * np.random.default_rng(11).standard_normal(len(t)), np.exp(-np.arange(2000) / 400))
+    disturbed, calm = displacement(t, X, 1e-7, 5) + drift[: len(t)], displacement(t, Y, 1e-7, 6)
+    times, phase = marks(20.0)
+    edges = whole_revolutions(times, phase, 1.0, 30)
+    for pair, of in (((disturbed, calm), 1), ((calm, disturbed), 0)):
+        found = amplitude_means(t, pair[0], t, pair[1], times, phase, edges, 9)
+        assert found is not None
+        assert found.noise[of] == pytest.approx(1e-7 * math.sqrt(2 / 2240), rel=0.3)
+        assert found.noise[1 - of] > 3 * found.noise[of]
+
+
 def test_both_lasers_must_have_samples() -> None:
     t = np.arange(0.0, 20.0, 1e-3)
     times, phase = marks(20.0)

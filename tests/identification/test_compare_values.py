@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from identification.compare import Change, ParameterComparison, compare_parameters
+from identification.errors import NotIdentifiable
 from rig_configs import IdentifiedParameters
 
 K1, K2, ZETA1 = 2600.123456789012, 38000.98765432101, 0.02034567890123457  # all digits, as files have them
@@ -124,6 +125,21 @@ def test_parameters_of_one_set_only_are_named() -> None:
     (only,) = found.changes
     assert (only.old, only.new, only.std) == (K1, K1 + 2.0, pytest.approx(1.0))
     assert (found.chi2, found.dof) == (pytest.approx(4.0), 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ({"zeta2": 0.01}, {"k1_N_per_m": K1, "zeta1": 0.02}, "OLD has zeta2, NEW has k1_N_per_m, zeta1; identify both"),
+        ({}, {}, "nothing to compare: OLD has no parameter, NEW has none; identify both"),
+    ],
+)
+def test_estimates_without_a_common_parameter_are_refused(
+    old: dict[str, float], new: dict[str, float], text: str
+) -> None:
+    sets = [IdentifiedParameters(values, np.zeros((len(values), len(values)))) for values in (old, new)]
+    with pytest.raises(NotIdentifiable, match=text):
+        compare_parameters(*sets)
 
 
 def test_a_change_of_an_exact_value_has_no_significance() -> None:

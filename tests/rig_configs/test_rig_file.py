@@ -18,6 +18,7 @@ from rig_configs import (
     shipped_rigs,
     with_parameters,
 )
+from rig_configs.known import INDEX
 
 
 def test_shipped_rigs_load_and_hold_the_points() -> None:
@@ -81,6 +82,7 @@ def test_devices_have_any_name_and_any_of_them_may_be_missing(tmp_path: Path) ->
     assert roles.along("x") is roles.angles is roles.phase is roles.speed is roles.locks is None
     found = roles.along("y")
     assert found is not None
+    assert load_rig(one).known.std(INDEX) == 0.0
     assert (found.device, found.topic, found.reach_m, roles.gain_stds) == ("probe_7", "laser/y", 0.025, (0.001, 0.001))
     for name in ("Probe", "7probe", "host", "a b"):
         one.write_text(text[:start] + device.replace("probe_7", f'"{name}"') + text[end:])

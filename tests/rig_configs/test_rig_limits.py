@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from pydantic import ValidationError
 
 from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig, parse_setting
+from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
 from rig_configs.load import apply_setting, refusal, validate, with_truth
 from rig_configs.schema import (
@@ -28,6 +30,8 @@ from rig_configs.schema import (
     Virtual,
     VirtualDrive,
 )
+from rig_configs.slow_roll import SlowRoll
+from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.table import RigTable
 from rig_configs.toml_text import parse_toml
 
@@ -273,6 +277,7 @@ def test_a_whole_number_is_not_rounded_by_a_relative_change() -> None:
         ({"points.A.speed_ratoi": 1}, "unknown key; did you mean points.A.speed_ratio? (units"),
         ({"devices.laser_x.rate_H": 1}, "unknown key; did you mean devices.laser_x.rate_Hz? (units"),
         ({"devices.laserx.rate_Hz": 5}, "devices.laserx: a device without a driver; did you mean devices.laser_x?"),
+        ({"devices.laser_x.driver": 7}, "devices.laser_x: driver: expected one of cia402, cia406, "),
         ({"devices.zz.rate_Hz": 5}, "devices.zz: no driver; expected driver = one of cia402, cia406, "),
         ({"limits": 3}, "limits: Input should be a valid dictionary or instance of Limits, got 3"),
     ],
@@ -284,6 +289,19 @@ def test_a_message_has_the_key_what_was_expected_and_what_was_found(settings: di
     assert f"virtual.toml: {message}" in text or (message in text and text.startswith("virtual.toml: "))
     if not message.endswith(("(units", "cia406, ")) and "Known here" not in message:
         assert text.endswith(message)
+
+
+def test_a_file_that_a_device_names_is_read_from_the_folder_of_the_rig_file(tmp_path: Path) -> None:
+    text = (resources.files("rig_configs") / "can_lasers.toml").read_text(encoding="utf-8")
+    start, end = text.index("dbc_text = '''") + len("dbc_text = '''"), text.index("'''\n\n[devices.sensor_bus.x]")
+    rig = tmp_path / "rig.toml"
+    rig.write_text(f'{text[: start - len("dbc_text = ") - 3]}dbc = "bus.dbc"{text[end + 3 :]}', encoding="utf-8")
+    with pytest.raises(RigFileError, match=r"rig\.toml: devices\.sensor_bus\.dbc: 'bus\.dbc' cannot be read as a text"):
+        load_rig(rig)
+    (tmp_path / "bus.dbc").write_text(text[start:end].lstrip("\n"), encoding="utf-8")
+    assert load_rig(rig).devices["sensor_bus"].dbc_text == load_rig("can_lasers").devices["sensor_bus"].dbc_text
+    with pytest.raises(RigFileError, match="expected either a file or its text"):
+        load_rig(rig, settings={"devices.sensor_bus.dbc_text": "VERSION"})
 
 
 def test_a_missing_table_is_described_by_its_keys() -> None:
@@ -406,6 +424,24 @@ def test_completed_parameters_take_the_rest_from_the_rig_as_exact() -> None:
     assert not whole.covariance[2:].any()
     assert whole.shared[GAIN_X].tolist() == [1.0, 2e-5, 0, 0, 0, 0, 0]
     assert whole.without(set(physics.identified()) - set(short.values)).shared[GAIN_X].tolist() == [1.0, 2e-5]
+
+
+def test_identified_effects_are_part_of_the_rig_s_physics() -> None:
+    physics = load_rig("virtual").physics
+    assert parameters().with_effects(physics) == physics
+    terms = SuspensionTerms(np.array([3.0, 5.0, 0.1, 0.2]), np.zeros((4, 4)), ())
+    roll = SlowRoll(0j, 0j, 2e-5 - 3e-5j, np.zeros((6, 6)))
+    drag = Drag(np.array([4e-7, -1e-7]), np.zeros((2, 2)))
+    found = parameters(terms=terms, slow_roll=roll, provenance=drag.table)
+    of = found.with_effects(physics)
+    assert (of.hardening_per_m2, of.damping_growth_s_per_m) == ((3.0, 5.0), (0.1, 0.2))
+    assert (of.bow_x_m, of.bow_y_m) == (2e-5, -3e-5)
+    assert (of.a.drag_Nms2_per_rad2, of.b.drag_Nms2_per_rad2) == (4e-7, 0.0)
+    assert of.k1_N_per_m == physics.k1_N_per_m
+    whole = found.applied_to(physics)
+    assert (whole.k1_N_per_m, whole.bow_x_m) == (found.values["k1_N_per_m"], 2e-5)
+    bowed = replace(physics, bow_x_m=1e-5)
+    assert parameters(slow_roll=SlowRoll(1e-6j, 0j, 0j, np.zeros((6, 6)))).with_effects(bowed) == bowed
 
 
 def test_the_own_covariance_is_without_the_shared_errors_and_never_indefinite() -> None:
