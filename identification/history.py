@@ -78,7 +78,7 @@ def parameter_history(paths: Sequence[Path], rig: str | None = None) -> History:
             skipped.append(str(fault))
     if not instants:
         raise NotIdentifiable(
-            f"{', '.join(map(str, paths))}: no parameters file found; `rig identify LOG… -o FILE.toml` writes one"
+            f"{', '.join(map(str, paths))}: no parameters file found. Identify logs and save the parameters"
         )
     rigs = sorted({i.rig for i in instants if i.rig})
     if rig is None and len(rigs) > 1:
@@ -95,7 +95,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         if path.suffix == ".mcap":
             raise ParametersFileError(
-                f"{path}: a log has no parameters yet; `rig identify {path} -o FILE.toml` finds them; give FILE.toml"
+                f"{path}: expected a parameters file, got a log. Identify it, and give the file of its parameters"
             )
         for file in sorted(path.rglob("*.toml")) if path.is_dir() else [path]:
             found.setdefault(file.resolve(), file)

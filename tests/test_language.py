@@ -41,7 +41,8 @@ MODULE_NAMES = {"believed_figures"}
 FILE_METHODS = {"tell"}
 # Keys in results and logs, kept for the programs that read them.
 KEYS_IN_FILES = {"believed", "beside", "anew", "told_range_m", "told_rpm"}
-OPTION = re.compile(r"(^|[\s`'(])--[a-z]")
+# `python -m MODULE` and `ls -l` are no options of this suite.
+OPTION = re.compile(r"(^|[\s`'(])--[a-z]|\w[\w.,;]* -(?!m |l )[a-z](?=[\s`'.,;:)]|$)")
 STARTS_COMMANDS = ("fresh_process.py", "library_peers.py")  # their texts are commands
 KINDS = {tokenize.NAME, tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
 CODE = re.compile(r"`+[^`]+`+|^\s*\w+(?:, \w+)*:|\b\w+(?:\.\w+)+|\{[^{}]*\}", re.ASCII)
@@ -99,6 +100,8 @@ def test_no_message_of_a_library_names_an_option(package: str) -> None:
 def test_an_option_in_a_message_is_found() -> None:
     source = 'def f():\n    "--json is fine here"\n    raise ValueError(f"{f}: no --json", "a -- b", "--x", "---")\n'
     assert options_in_texts(source) == ["3: --x", "3: : no --json"]
+    source = 'g("use -o for it", "a name with -o", "x - y", "x -1", "run python -m a.b", "list it (ls -l a)", "-y")'
+    assert options_in_texts(source) == ["1: a name with -o", "1: use -o for it"]
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

@@ -55,7 +55,7 @@ def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
 
 
 def load_map(path: str | Path) -> MapRecord:
-    """Read a file written by `write_map` or `rig map -o`.
+    """Read a file written by `write_map`.
 
     Raises:
         NoMapFile: an unsupported suffix, or a file that does not contain a map.
@@ -71,7 +71,7 @@ def load_map(path: str | Path) -> MapRecord:
             return read_zarr(path)
         return _read_npz(path)
     except (KeyError, ValueError, TypeError, RigConfigError, zipfile.BadZipFile) as error:
-        raise NoMapFile(f"{path}: expected a map as `rig map -o` writes it; problem: {error!r}") from error
+        raise NoMapFile(f"{path}: expected a map as `write_map` writes it; problem: {error!r}") from error
 
 
 def _write_npz(path: Path, kept: MapRecord) -> None:

@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 _EARLIER = "recovered earlier"
 _SUFFIX = ".recovering"
-_ELSEWHERE = "Give another place with -o"
+_ELSEWHERE = "Give another place for the new log"
 _WALK_SHARE = 0.6  # share of the total time that the check of the old file takes
 
 
@@ -213,7 +213,7 @@ def _refuse_growing(source: LogSource, out: Path) -> None:
     if _growth(source):
         raise LogError(
             f"{source.file.path}: is still being written, and its recorder will name it {out.name} at its end. End the "
-            "recording, or give another name with -o for what there is by now"
+            "recording, or give another name for what there is by now"
         )
 
 

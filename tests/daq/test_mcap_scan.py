@@ -23,6 +23,7 @@ from daq.mcap.records import (
     check_metadata,
     read_attachment,
     read_header,
+    read_metadata,
     read_record,
 )
 from daq.mcap.writer import LIBRARY, MAGIC, metadata_crc
@@ -160,6 +161,12 @@ def collected(
         wide[:, part].tolist(),
         narrow[:, part].tolist(),
     )
+
+
+def test_results_in_place_of_a_number_are_not_a_number_of_messages() -> None:
+    codes = (scan.BROKEN, scan.OTHER_LAYOUT, scan.OTHER_COUNT)
+    assert len(set(codes)) == 3
+    assert max(codes) < 0
 
 
 def test_messages_of_a_constant_layout_become_columns() -> None:
@@ -404,6 +411,18 @@ def test_metadata_of_other_writers_may_use_the_key_of_our_checksum() -> None:
         assert len(texts) == other.count(b"crc32") + other.count(b"a\x01")
         with pytest.raises(DamageError, match="CRC is wrong"):
             check_metadata(other, True)
+
+
+def test_a_record_of_facts_may_have_64_MiB(tmp_path: Path) -> None:
+    limit = 64 * 2**20
+    frame = len(metadata(a=""))
+    for size, accepted in ((limit - 1024, True), (limit + 1024, False)):
+        file = on_disk(tmp_path, MAGIC + record(12, metadata(a="b" * (size - frame))))
+        if accepted:
+            assert len(read_metadata(file, len(MAGIC), ours=False)[1]["a"]) == size - frame
+        else:
+            with pytest.raises(DamageError):
+                read_metadata(file, len(MAGIC), ours=False)
 
 
 def attachment(data: bytes = b"12345", crc: int | None = None, **wrong: int) -> bytes:

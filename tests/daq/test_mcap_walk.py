@@ -282,6 +282,15 @@ def test_message_indexes_list_the_messages_of_their_chunk(
     assert [place.text for place in found.missing][:1] == ([] if fault is None else [fault])
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "wrong"), [(10, 30, False), (9, 30, True), (11, 30, True), (10, 29, True), (10, 31, True)]
+)
+def test_a_chunk_of_ours_has_the_times_of_its_messages(tmp_path: Path, first: int, last: int, wrong: bool) -> None:
+    data = MAGIC + header(LIBRARY) + channel(1, "a") + channel(2, "b") + chunk(INNER, first, last)
+    texts = [place.text for place in walked(tmp_path, data).missing]
+    assert ("a chunk whose head has other times than its messages; those of the messages are used" in texts) is wrong
+
+
 def test_a_chunk_with_a_wrong_crc_is_left_out_and_its_indexes_state_what_it_held(tmp_path: Path) -> None:
     bad = chunk(INNER, 10, 30, crc=5)
     good = chunk(message(2, 99), 99, 99)

@@ -114,6 +114,23 @@ def test_a_file_with_facts_alone_is_recovered_and_one_without_anything_is_not(tm
         recover(made(tmp_path))
 
 
+@pytest.mark.parametrize("name", ["a.mcap", "b.mcap", "c.mcap"])
+def test_a_growing_file_is_recovered_to_any_name_but_its_own(tmp_path: Path, name: str) -> None:
+    part = tmp_path / "b.mcap.part"
+    part.write_bytes(FRONT + GOOD)
+
+    def grow(share: float) -> None:
+        with part.open("ab") as file:
+            file.write(GOOD)
+
+    if name == "b.mcap":
+        with pytest.raises(LogError, match=r"is still being written, and its recorder will name it b\.mcap"):
+            recover(part, tmp_path / name, grow)
+        assert not (tmp_path / name).exists()
+    else:
+        assert recover(part, tmp_path / name, grow).path == tmp_path / name
+
+
 def test_the_names_of_new_files(tmp_path: Path) -> None:
     data = FRONT + GOOD
     for name, new in (("a.mcap.part", "a.mcap"), ("b.mcap", "b.recovered.mcap"), ("c.part", "c.recovered.mcap")):
