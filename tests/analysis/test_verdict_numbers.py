@@ -783,6 +783,8 @@ def test_start_ups_are_grouped_by_their_requested_speed(
         log("start-ups", 2.0, speed_rpm=1500),
         log("start-ups", 3.0, speed_rpm=900),
         log("start-ups", 1.0),
+        log("run-up", 6.0),
+        log("tap", 7.0),
     ]
     found = validate(runs, rig, identified())
     assert found.points == {}
