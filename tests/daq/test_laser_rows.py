@@ -73,6 +73,15 @@ def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, si
         assert not rates
 
 
+@pytest.mark.parametrize(("later_ns", "possible"), [(250_000, True), (249_999, False)])
+def test_a_gap_may_be_two_seconds_longer_than_on_the_host(later_ns: int, possible: bool) -> None:
+    """After a possible gap two rows are enough; after another one more rows must show that the sensor goes on."""
+    pipeline, gap = laser(), 8001  # samples: 2.00025 s
+    pipeline.feed(RX, stream(np.arange(100), 4000.0), START_NS)
+    items = pipeline.feed(RX, stream(99 + gap + np.arange(2), 4000.0), START_NS + later_ns)
+    assert any(isinstance(item, Batch) for item in items) is possible
+
+
 @pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0, 3597.0, 3656.0, 4090.0, 7911.0])
 def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(rate_Hz: float) -> None:
     pipeline = laser()

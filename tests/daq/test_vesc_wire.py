@@ -147,6 +147,11 @@ def test_an_answer_of_a_real_controller() -> None:
     )  # older firmware
 
 
+def test_a_controller_at_rest_round_trips() -> None:
+    at_rest = wire.parse_values(wire.pack_values(wire.Values()))
+    assert at_rest == wire.Values() == wire.Values(0, 0.0, 0.0, 0.0, (0, 0, 0, 0), 0, 0, None)
+
+
 @given(VALUES)
 def test_answers_round_trip(values: wire.Values) -> None:
     # the current drawn from the supply does not come back: nothing here uses it
