@@ -114,6 +114,13 @@ def test_a_parameter_of_one_test_alone_is_not_compared() -> None:
     assert (found.p, found.looks, found.suspects, found.alarm) == (1.0, 0, (), False)
 
 
+def test_a_test_without_values_counts_for_nothing() -> None:
+    given = several(0.0, 30.0, 15.0, stds=(1.0, 1.0, 40.0))
+    empty = Estimate("empty", ("empty.mcap",), (), np.empty(0), np.empty((0, 0)))
+    assert verdict([*given, empty]) == verdict(given)
+    assert verdict(given).looks == 6
+
+
 @pytest.mark.parametrize("apart", [7.0, 7.4, 7.8, 8.2, 8.6, 9.0, 11.0])
 def test_one_suspect_is_named_if_the_odds_are_four_hundred_to_one(apart: float) -> None:
     """A third test, twice as uncertain, decides between two: 2 ln of the ratio of their p is above 12."""
@@ -298,6 +305,14 @@ def test_two_tests_that_disagree_get_the_extra_error_that_makes_chi2_one() -> No
     )
 
 
+def test_two_suspects_are_widened_and_a_third_test_that_agrees_with_both_is_not() -> None:
+    found = joint_estimate(several(0.0, 30.0, 15.0, stds=(1.0, 1.0, 10.0)))
+    (message,) = found.warnings
+    assert "whether test-0 (00.mcap) or test-1 (01.mcap) is bad" in message
+    tau = found.extra_std[K1]
+    assert found.parameters.std[K1] == pytest.approx((2 / (1.0 + tau**2) + 1 / 100.0) ** -0.5)
+
+
 def test_the_bad_one_of_three_is_left_out_with_its_distance() -> None:
     given = several(0.0, 1.0, 50.0)
     found = joint_estimate(given)
@@ -345,7 +360,9 @@ def test_tests_that_differ_in_the_correlation_only_get_twice_their_uncertainty()
     ]
     found = joint_estimate(pair)
     assert len(found.warnings) == 1  # once, although the tests are widened several times
-    assert found.parameters.std[K1] >= 2 * math.sqrt(0.5) * 0.99
+    # doubled once for each of the two parameters
+    assert found.parameters.std[K1] == pytest.approx(4 * math.sqrt(0.5), rel=1e-6)
+    assert found.parameters.std[K2] == pytest.approx(4 * math.sqrt(0.5), rel=1e-6)
 
 
 def test_reduced_keeps_every_part_of_an_estimate() -> None:
