@@ -172,7 +172,7 @@ class ClockMap:
         self._slope = 0.0  # slope of the lag, with the correction
         self._correction = 0.0  # part of the slope that applies for the next `_correct_ns` only
         self._line: tuple[float, float] | None = None
-        self._started = False
+        self._started = self._seeded = False
 
     def map(self, device_ns: NDArray[np.int64], host_ns: int) -> NDArray[np.int64]:
         """Return the common times of the samples of one read, ns, and update the map with the read.
@@ -203,6 +203,7 @@ class ClockMap:
         if -_SEED_EARLY_NS < early < _SEED_LATE_NS:
             self._lag, self._slope = float(-max(early, 0)), self._seed.rate
             self._bins.append((-1, 0.0, self._lag, 1))
+            self._seeded = True
 
     def seed(self, wrap_ns: int) -> ClockSeed | None:
         """Return the present state of the clock for the map of the next log, or None before the first read.
@@ -222,13 +223,14 @@ class ClockMap:
         It consists of the uncertainty of the line, the correction that is in progress, and the lateness of the newest
         reads as far as it may be a step of the host's clock.
         """
-        if not self._started or not self._bins:
+        if not self._bins:
             return _FIRST_STD_NS
         unexplained = 0.0
         if sum(entry[3] for entry in self._late) >= _LATE_READS:
             unexplained = max(0.0, min(map(_lag_of, self._late)) - self._target(self._at)[0])
-        first = _FIRST_STD_NS / sum(entry[3] for entry in self._bins) ** 2  # the least of n delays decreases with 1/n
-        line = max(self._line_std_ns, first)
+        line = self._line_std_ns
+        if not self._seeded:  # the first reads may all be late; the least of n delays decreases with 1/n
+            line = max(line, _FIRST_STD_NS / sum(entry[3] for entry in self._bins) ** 2)
         return float(line + abs(self._target(self._at)[0] - self._lag) + unexplained)
 
     @property
@@ -288,6 +290,7 @@ class ClockMap:
         self._bins.extend(bins)
         self._late.clear()
         self._line = None
+        self._seeded = False
 
     def _fit_closed_bins(self) -> None:
         """Fit the line each time a bin is complete. A crystal drifts slowly enough for that."""
@@ -368,7 +371,7 @@ def fit_line(
     x: NDArray[np.floating] = device_s[best] - device_s[0]
     y: NDArray[np.floating] = lag[best] - lag[0]
     span = float(x[-1])
-    if len(x) < 8 or span < 1.5:
+    if len(x) < 8:
         offset = float(lag.min())
         return ClockLine(offset, 0.0, prior, float(np.mean(y - float(np.min(y)))), prior)
     constant, slope = lower_line(x, y)

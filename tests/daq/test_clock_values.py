@@ -500,3 +500,38 @@ def test_the_first_reads_may_be_late() -> None:
     assert in_time(1).std_ns == 10e6
     assert in_time(10).std_ns == pytest.approx(100e3, rel=1e-6)
     assert in_time(300).std_ns < 4e3
+
+
+def test_a_seeded_clock_needs_no_reads_for_its_uncertainty() -> None:
+    """The seed counts as one read; a step of the host's clock makes it invalid."""
+    clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, 0.0, 2**50))
+    mapped(clock, 0.0)
+    assert clock.std_ns == pytest.approx(3e3 + 8 * 20e3 / 2, abs=0.1)
+    mapped(clock, 10.0, -4.0)
+    assert clock.std_ns > 10e6
+
+
+def test_reads_that_come_earlier_and_earlier_are_counted_once() -> None:
+    clock = ClockMap(50.0)
+    for k in range(30):
+        mapped(clock, 1.0 * k, -1e-6 * k)
+    assert clock.std_ns == pytest.approx(10e6 / 30**2, abs=50.0)
+
+
+def test_the_rate_is_uncertain_since_the_least_late_read() -> None:
+    clock = ClockMap(50.0)
+    for k in range(180):
+        mapped(clock, 10.0 * k, 0.0 if k == 30 else 0.01)
+    mean = 8 * 20e3 / 180  # the lateness is below its least value
+    assert clock.std_ns == pytest.approx(3e3 + mean + 50e-6 * 1490 * MS, abs=100.0)
+
+
+@pytest.mark.parametrize(("rules", "fitted"), [(2, True), (3, False)])
+def test_samples_before_the_first_are_in_bins_before_its_own(rules: int, fitted: bool) -> None:
+    """Rules that learn from older samples have eight complete bins a quarter of a second earlier."""
+    clock = ClockMap(50.0, rules)
+    mapped(clock, 0.0)
+    mapped(clock, -1.0, -1e-4)
+    for k in range(1, 8):
+        mapped(clock, 250.0 * k, 250e-4 * k)
+    assert (rate_after(clock) != 0.0) is fitted
