@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, cast, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -80,14 +80,13 @@ def _read_files(raw: dict[str, Any], source: str) -> None:
         table = _as_table(device) or {}
         for key, text_key in _files_of(table).items():
             path, place = table.get(key), f"{source}: devices.{name}.{key}"
-            if not isinstance(path, str) or not path:
-                continue
-            if text_key in table:
-                raise RigFileError(f"{place}: expected either a file or its text ({text_key}), got both")
-            try:
-                table[text_key] = read_text(Path(source).parent / path)
-            except OSError as error:
-                raise RigFileError(f"{place}: {path!r:.200} cannot be read as a text file: {error}") from error
+            if isinstance(path, str) and path:
+                if text_key in table:
+                    raise RigFileError(f"{place}: expected either a file or its text ({text_key}), got both")
+                try:
+                    table[text_key] = read_text(Path(source).parent / path)
+                except OSError as error:
+                    raise RigFileError(f"{place}: {path!r:.200} cannot be read as a text file: {error}") from error
 
 
 def _files_of(table: Mapping[str, Any]) -> Mapping[str, str]:
@@ -337,10 +336,9 @@ def _model_at(path: Sequence[str | int], raw: Mapping[str, Any]) -> type[BaseMod
         return settings_of(table["driver"])  # the error was found by this class
     for part in path:
         field = model.model_fields.get(str(part)) if model else None
-        if field is None:  # a key of a dict of tables, such as points.A
-            continue
-        candidates = [field.annotation, *get_args(field.annotation)]
-        model = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+        if field is not None:  # None for a key of a dict of tables, such as points.A
+            candidates = [field.annotation, *get_args(field.annotation)]
+            model = next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
     return model
 
 
@@ -365,4 +363,8 @@ def _expectation(path: Sequence[str | int], raw: Mapping[str, Any]) -> str:
     inner = next((c for c in (field.annotation,) if isinstance(c, type) and issubclass(c, BaseModel)), None)
     if inner is not None:
         return f"a table with {', '.join(inner.model_fields)}"
+    if get_origin(field.annotation) is dict:
+        of = get_args(field.annotation)[1]
+        keys = f", each with {', '.join(of.model_fields)}" if hasattr(of, "model_fields") else ""
+        return f"tables [{path[-1]}.NAME]{keys}"
     return f"a {getattr(field.annotation, '__name__', str(field.annotation))}"

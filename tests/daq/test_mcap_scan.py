@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -425,9 +426,9 @@ def test_a_record_of_facts_may_have_64_MiB(tmp_path: Path) -> None:
                 read_metadata(file, len(MAGIC), ours=False)
 
 
-def attachment(data: bytes = b"12345", crc: int | None = None, **wrong: int) -> bytes:
+def attachment(data: bytes = b"12345", crc: int | None = None, name: bytes = b"a.json", **wrong: int) -> bytes:
     body = struct.pack("<QQ", 3, 4)
-    for key, value in (("name", b"a.json"), ("media", b"text/x")):
+    for key, value in (("label", name), ("media", b"text/x")):
         body += struct.pack("<I", len(value) + wrong.get(key, 0)) + value
     body += struct.pack("<Q", len(data) + wrong.get("content", 0)) + data
     return record(9, body + struct.pack("<I", crc32(body) if crc is None else crc))
@@ -459,12 +460,18 @@ def test_an_attachment_without_a_crc_is_one_of_other_writers(tmp_path: Path) -> 
     for check in (lambda: check_attachment(file, 0, True), lambda: read_attachment(file, place, True)):
         with pytest.raises(DamageError, match=r"'a\.json' whose CRC is wrong"):
             check()
-    for ours in (True, False):
+    for ours, crc in itertools.product((True, False), (5, 2**32 - 1)):
         with pytest.raises(DamageError, match="CRC is wrong"):
-            check_attachment(on_disk(tmp_path, attachment(crc=5)), 0, ours)
+            check_attachment(on_disk(tmp_path, attachment(crc=crc)), 0, ours)
 
 
-@pytest.mark.parametrize("key", ["name", "media", "content"])
+def test_a_message_has_the_beginning_of_a_long_name(tmp_path: Path) -> None:
+    file = on_disk(tmp_path, attachment(crc=5, name=b"a" * 79 + b"bc"))
+    with pytest.raises(DamageError, match=f"^attachment '{'a' * 79}b' whose CRC is wrong"):
+        check_attachment(file, 0, False)
+
+
+@pytest.mark.parametrize("key", ["label", "media", "content"])
 @pytest.mark.parametrize("by", [-1, 1, 20, 2**20])
 @pytest.mark.parametrize("after", [b"", bytes(99)])
 def test_an_attachment_whose_lengths_contradict_each_other_is_damaged(

@@ -247,6 +247,30 @@ def test_metadata_of_more_than_64_MiB_are_damage(tmp_path: Path) -> None:
     assert place.byte_start == len(FRONT)
 
 
+def test_the_limit_of_metadata_does_not_depend_on_their_place(tmp_path: Path) -> None:
+    path, size = tmp_path / "a.mcap", 65 * 2**20
+    with path.open("wb") as file:
+        file.write(FRONT + struct.pack("<BQ", 0x80, size))
+        file.seek(size, 1)  # a hole
+        file.write(metadata("one", {"a": "b"}) + LOOSE)
+    assert walk(FileBytes(path)).metadata == {"one": {"a": "b"}}
+
+
+def test_messages_outside_of_chunks_that_the_disk_does_not_read_again_are_left_out(tmp_path: Path) -> None:
+    class Failing(FileBytes):
+        def read(self, start: int, length: int) -> bytes:
+            if (start, length) == (len(FRONT), len(LOOSE)):
+                raise LogError("the disk cannot read them")
+            return super().read(start, length)
+
+    path = tmp_path / "a.mcap"
+    path.write_bytes(FRONT + LOOSE)
+    found = walk(Failing(path))
+    assert found.counts == {}
+    (place,) = found.missing
+    assert "the disk cannot read them, left out" in place.text
+
+
 def test_the_search_for_intact_records_never_returns_to_an_earlier_place(tmp_path: Path) -> None:
     """An index of 8 bytes has the head of one, so that the search stops at it; the next search begins behind it."""
     first, last = chunk(INNER, 10, 30), chunk(message(2, 99), 99, 99)
@@ -259,27 +283,38 @@ def test_the_search_for_intact_records_never_returns_to_an_earlier_place(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("listed", "fault"),
+    ("listed", "fault", "missing"),
     [
-        ({"c1": [(10, 0), (30, 70)], "c2": [(20, 35)]}, None),
-        ({}, None),  # other writers need none
-        ({"c1": [(10, 0), (30, 70)]}, "message indexes before this place do not list every message of their chunk"),
-        ({"c1": [(10, 0), (31, 70)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk"),
+        ({"c1": [(10, 0), (30, 70)], "c2": [(20, 35)]}, None, 0),
+        ({}, None, 0),  # other writers need none
+        ({"c1": [(10, 0), (30, 70)]}, "message indexes before this place do not list every message of their chunk", 0),
+        ({"c1": [(10, 0), (31, 70)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk", 0),
         (
             {"c1": [(10, 0), (30, 70)], "c2": [(20, 35)], "c3": [(30, 70)]},
             "message indexes that do not fit their chunk",
+            None,  # they may belong to a chunk that is missing
         ),
-        ({"c1": [(10, 0)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk"),
+        ({"c1": [(10, 0)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk", None),
     ],
 )
 def test_message_indexes_list_the_messages_of_their_chunk(
-    tmp_path: Path, listed: dict[str, list[tuple[int, int]]], fault: str | None
+    tmp_path: Path, listed: dict[str, list[tuple[int, int]]], fault: str | None, missing: int | None
 ) -> None:
     whole = chunk(INNER, 10, 30)
     data = FRONT + whole + indexes(**listed) + data_end()
     found = walked(tmp_path, data + ending(data, b""))
     assert found.counts == {1: 2, 2: 1}
-    assert [place.text for place in found.missing][:1] == ([] if fault is None else [fault])
+    first = [(place.text, place.messages) for place in found.missing][:1]
+    assert first == ([] if fault is None else [(fault, missing)])
+
+
+@pytest.mark.parametrize(("more", "missing"), [(0, 0), (1, None)])
+def test_damage_as_long_as_the_missing_indexes_held_no_message(tmp_path: Path, more: int, missing: int | None) -> None:
+    before, index = FRONT + chunk(INNER, 10, 30) + indexes(c1=[(10, 0), (30, 70)]), indexes(c2=[(20, 35)])
+    lost = index[:1] + bytes([index[1] - 1]) + index[2:] + bytes(more)
+    (place, _) = walked(tmp_path, before + lost + chunk(message(2, 99), 99, 99)).missing
+    assert (place.byte_start, place.byte_end) == (len(before), len(before + lost))
+    assert place.messages == missing
 
 
 @pytest.mark.parametrize(

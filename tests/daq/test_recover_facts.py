@@ -12,6 +12,8 @@ from daq.log import open_log
 from daq.log.recover import recover
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
+from daq.mcap.records import AttachmentPlace, DamageError
+from tests.daq.test_mcap_scan import attachment
 from tests.daq.test_mcap_walk import (
     FRONT,
     INNER,
@@ -97,6 +99,20 @@ def test_facts_of_the_old_log_keep_their_texts(tmp_path: Path) -> None:
     assert contents.metadata["summary"] == {"e": "f"}
     assert contents.metadata["recovered"]["origin"] == "old.mcap"
     assert contents.missing == []
+
+
+def test_an_attachment_that_is_not_read_as_before_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def other(file: FileBytes, place: AttachmentPlace, ours: bool) -> None:
+        raise DamageError("attachment 'a.json' whose CRC is wrong")
+
+    whole = attachment()
+    part = made(tmp_path, whole, GOOD)
+    monkeypatch.setattr("daq.log.recover.read_attachment", other)
+    found = recover(part)
+    place = found.missing[-1]
+    assert (place.text, place.messages) == ("attachment 'a.json' whose CRC is wrong", 0)
+    assert (place.byte_start, place.byte_end) == (len(FRONT), len(FRONT + whole))
+    assert walk(FileBytes(found.path)).attachments == []
 
 
 def test_messages_outside_of_chunks_are_recovered_as_a_chunk(tmp_path: Path) -> None:

@@ -117,6 +117,11 @@ def test_values_that_the_shipped_rig_states_are_the_defaults() -> None:
     assert whole.validation == ValidationTable(model_std_deg=0.0, model_std_mm=0.0, releases=True)
 
 
+def test_simulated_sensors_are_linear_and_quiet_unless_the_rig_file_states_otherwise() -> None:
+    sensors = SimulatedSensors()
+    assert (sensors.hum_m, sensors.laser_nonlinearity_m, sensors.laser_hysteresis_m) == (0.0, 0.0, 0.0)
+
+
 def test_what_a_rig_file_omits_is_absent_from_the_physics() -> None:
     """A pendulum is not a ball and has neither drag nor dry friction; a shaft is vertical; numbers are exact."""
     rig = load_rig("virtual")
@@ -275,10 +280,15 @@ def test_a_whole_number_is_not_rounded_by_a_relative_change() -> None:
         ),
         ({"suspension.k1": 1}, "suspension.k1: unknown key; did you mean suspension.k1_N_per_m? (units"),
         ({"points.A.speed_ratoi": 1}, "unknown key; did you mean points.A.speed_ratio? (units"),
+        ({"points.A.zzz": 1}, "unknown key (units are part of a name). Known here: speed_ratio, expected"),
         ({"devices.laser_x.rate_H": 1}, "unknown key; did you mean devices.laser_x.rate_Hz? (units"),
         ({"devices.laserx.rate_Hz": 5}, "devices.laserx: a device without a driver; did you mean devices.laser_x?"),
         ({"devices.laser_x.driver": 7}, "devices.laser_x: driver: expected one of cia402, cia406, "),
         ({"devices.zz.rate_Hz": 5}, "devices.zz: no driver; expected driver = one of cia402, cia406, "),
+        (
+            {"devices.laser_x": 3},
+            "devices.laser_x: Input should be a valid dictionary or instance of DeviceSettings, got 3",
+        ),
         ({"limits": 3}, "limits: Input should be a valid dictionary or instance of Limits, got 3"),
     ],
 )
@@ -300,8 +310,26 @@ def test_a_file_that_a_device_names_is_read_from_the_folder_of_the_rig_file(tmp_
         load_rig(rig)
     (tmp_path / "bus.dbc").write_text(text[start:end].lstrip("\n"), encoding="utf-8")
     assert load_rig(rig).devices["sensor_bus"].dbc_text == load_rig("can_lasers").devices["sensor_bus"].dbc_text
+    for value in (7, ["bus.dbc"]):
+        with pytest.raises(RigFileError, match=r"devices\.sensor_bus\.dbc: Input should be a valid string"):
+            load_rig(rig, settings={"devices.sensor_bus.dbc": value})
+    assert load_rig("can_lasers", settings={"devices.sensor_bus.dbc": ""}) == load_rig("can_lasers")
     with pytest.raises(RigFileError, match="expected either a file or its text"):
         load_rig(rig, settings={"devices.sensor_bus.dbc_text": "VERSION"})
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("points", r"tables \[points\.NAME\], each with speed_ratio, expected"),
+        ("devices", r"tables \[devices\.NAME\], each with driver, port, .*"),
+    ],
+)
+def test_missing_tables_of_free_names_are_described_by_their_keys(name: str, expected: str) -> None:
+    raw = parse_toml((resources.files("rig_configs") / "virtual.toml").read_text(encoding="utf-8"), "a.toml")
+    del raw[name]
+    with pytest.raises(RigFileError, match=rf"^a\.toml: {name}: missing; expected {expected}$"):
+        validate(raw, "a.toml")
 
 
 def test_a_missing_table_is_described_by_its_keys() -> None:
