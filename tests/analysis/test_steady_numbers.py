@@ -129,8 +129,10 @@ def test_every_number_is_that_of_the_formula(found: SteadyMeasurement, rig: Rig)
     assert found.remarks == ()
 
 
-def test_the_radius_and_its_gains_follow_from_the_orders(rig: Rig) -> None:
+def test_the_radius_and_its_gains_follow_from_the_orders() -> None:
     """Radius √(½ Σ|X_k|²): its slope along X is X/(2 r); a gain error of x changes it by g |X|²/(2 r)."""
+    rig = load_rig("virtual", settings=["devices.laser_y.gain_std=0.01"])
+    assert rig.roles.gain_stds[1] > 2 * rig.roles.gain_stds[0]
     x, y = np.array([3e-4 + 4e-4j, 1e-4, 2e-5j]), np.array([1.2e-3j, 0.0, 0.0])
     covariance = np.diag([1e-6, 4e-6, 1e-14, 4e-14, 9e-14, 16e-14])
     own, radius = _own(x, y, covariance)
@@ -484,6 +486,9 @@ def test_mean_angles_are_free_of_orders_one_and_two() -> None:
     assert mean == pytest.approx([1.0, 2.0], abs=4 * std[0])
     mean, std = _angles(turning(4001, 6.0, 1e-2), 0.0, 6.0)
     assert std == pytest.approx([1e-2 / math.sqrt(4001)] * 2, rel=0.03)  # of exactly six
+    partial = turning(1001, 5.7)
+    partial.angle_rad[partial.angle_time_s < 0.699] = 99.0  # before the five whole revolutions
+    assert _angles(partial, 0.0, 5.7)[0] == pytest.approx([1.0, 2.0], abs=1e-9)
     still = replace(turning(1001), angle_rad=np.full((1001, 2), 1.0))
     assert _angles(still, 0.0, 6.0)[1] == pytest.approx([1e-4 / math.sqrt(12)] * 2, rel=1e-6)
 
