@@ -24,10 +24,10 @@ demo: setup
 	@echo "For the rig command in this shell: source .venv/bin/activate"
 
 test: setup lint
-	$(UV) run --no-sync pytest -n 2
+	$(UV) run --no-sync pytest -n 2 --dist worksteal
 
 test-thorough: setup
-	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2
+	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2 --dist worksteal
 
 tutorials: setup
 	$(UV) run --no-sync python -m tests.tutorials.notebooks

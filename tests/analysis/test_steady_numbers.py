@@ -546,6 +546,18 @@ def test_three_tenths_of_the_samples_are_enough(share: float, count: int, enough
         _orders(run, t, wave, 0.0, 6.0, "x")
 
 
+def test_sixty_valid_samples_are_the_fewest() -> None:
+    run, _, _ = displaced(1.0)
+    for count, enough in ((60, True), (59, False)):
+        t = np.linspace(0.0, 1.0, count)
+        wave = 1e-3 * np.cos(16 * math.pi * t - 0.4)
+        if enough:
+            assert _orders(run, t, wave, 0.0, 1.0, "x")[0][0] == pytest.approx(1e-3 * cmath.exp(-0.4j), rel=1e-6)
+        else:
+            with pytest.raises(NotEnoughData, match="laser x: too few valid samples"):
+                _orders(run, t, wave, 0.0, 1.0, "x")
+
+
 def test_a_state_has_a_type_if_it_is_settled_or_creeps(rig: Rig) -> None:
     known = Settling(True, False, "", 0.0, 0.0, 0.0, 0.0, 5.0)
     moves = replace(known, settled=False)
@@ -630,6 +642,13 @@ def test_the_clocks_turn_a_vector_in_proportion_to_the_revolutions(monkeypatch: 
         assert np.sqrt(np.diag(seen[0][at])) == pytest.approx(
             size * rate * 2 * math.pi * np.arange(9.0, -1.0, -1.0), rel=1e-3, abs=1e-10
         )
+
+
+@pytest.mark.parametrize(("revolutions", "windows"), [(8, 0), (9, 9), (10, 10), (12, 12)])
+def test_nine_windows_of_all_signals_are_extrapolated(revolutions: int, windows: int) -> None:
+    found = extrapolated.to_come(slow(revolutions), 0.0, 20.0, MEANS, np.ones(6))
+    assert found.windows == windows
+    assert (found.model == UNEXPLAINED) is (windows == 0)
 
 
 @pytest.mark.parametrize("lacking", ["windows", "angles", "orbit"])
