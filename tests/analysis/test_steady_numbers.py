@@ -329,6 +329,7 @@ def test_an_approach_that_is_not_over_is_extrapolated(rig: Rig) -> None:
     assert found.state == "not settled"
     assert found.to_come.model != UNEXPLAINED
     assert found.theta_rad[0].value == pytest.approx(THETA[0], abs=3 * found.theta_rad[0].std)
+    assert found.theta_rad[1].value == pytest.approx(THETA[1], abs=STEP)
     assert found.to_come.rate_per_s == pytest.approx(0.3, rel=0.25)  # the noise may leave a second rate open
     at_end = math.radians(1.0) * math.exp(0.3 * (END_S - found.to_s))
     mean = at_end * (math.exp(0.3 * 6.0) - 1) / (0.3 * 6.0)
@@ -547,14 +548,15 @@ def test_three_tenths_of_the_samples_are_enough(share: float, count: int, enough
 
 
 def test_sixty_valid_samples_are_the_fewest() -> None:
-    run, _, _ = displaced(1.0)
+    marks = np.arange(0.0, 2.0, 0.5)
+    run = replace(turning(300), mark_time_s=marks, mark_phase_rad=4 * math.pi * marks)
     for count, enough in ((60, True), (59, False)):
         t = np.linspace(0.0, 1.0, count)
-        wave = 1e-3 * np.cos(16 * math.pi * t - 0.4)
+        wave = 1e-3 * np.cos(4 * math.pi * t - 0.4)
         if enough:
             assert _orders(run, t, wave, 0.0, 1.0, "x")[0][0] == pytest.approx(1e-3 * cmath.exp(-0.4j), rel=1e-6)
         else:
-            with pytest.raises(NotEnoughData, match="laser x: too few valid samples"):
+            with pytest.raises(NotEnoughData, match="laser x: too few valid samples in the last"):
                 _orders(run, t, wave, 0.0, 1.0, "x")
 
 
