@@ -73,6 +73,13 @@ def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, si
         assert not rates
 
 
+def test_samples_after_a_gap_within_a_read_are_handed_out_with_it() -> None:
+    pipeline = laser()
+    pipeline.feed(RX, stream(np.arange(100), 4000.0), START_NS)
+    items = pipeline.feed(RX, stream(np.r_[100:110, 113:123], 4000.0), START_NS + 5_000_000)
+    assert ticks_of(items).tolist() == [25 * k for k in (*range(100, 110), *range(113, 123))]
+
+
 @pytest.mark.parametrize(("later_ns", "possible"), [(250_000, True), (249_999, False)])
 def test_a_gap_may_be_two_seconds_longer_than_on_the_host(later_ns: int, possible: bool) -> None:
     """After a possible gap two rows are enough; after another one more rows must show that the sensor goes on."""

@@ -63,7 +63,8 @@ def sweeps(number: int, codes: list[tuple[int, int]], tick: int | None = None, l
         ">IHBBH", 0, more.get("mask", 3), more.get("rate", RATE_CODE), 7, (number if tick is None else tick) % 65536
     )
     head += struct.pack(">Q", (UTC_S + late_s) * S + after_ns)
-    return packet(0x1A, head + struct.pack(f">{2 * len(codes)}H", *(v for pair in codes for v in pair)))
+    payload = head + struct.pack(f">{2 * len(codes)}H", *(v for pair in codes for v in pair))
+    return packet(0x1A, payload, base_rssi=more.get("base_rssi", -61))
 
 
 def status(utc_ns: int, is_on: bool = True) -> bytes:
@@ -230,6 +231,7 @@ def test_missing_sweeps_are_counted_exactly_even_over_a_wrap_of_the_tick() -> No
     assert isinstance(gap, DeviceEvent)
     assert isinstance(batch, Batch)
     assert (gap.kind, gap.facts["samples"], gap.facts["time_ns"]) == ("gap", 2, int(batch.time_ns[0]))
+    assert gap.facts["rssi_dBm"] == -80
     assert batch.sequence.tolist() == [10]
     many = 65541 + 3 * 65536 + 17
     gap, _ = line.feed(RX, sweeps(many, [(1, 1)]), 800 * S)
@@ -274,6 +276,16 @@ def test_the_beacon_s_answers_give_the_times_without_the_delay_of_the_radio() ->
             (batch,) = [item for item in found if isinstance(item, Batch)]
             assert abs(int(batch.time_ns[-1]) - due_ns) < 20_000
     assert line.clock_seed is not None
+
+
+@pytest.mark.parametrize(("later_ns", "used"), [(0, True), (60 * S, True), (60 * S + 1, False)])
+def test_the_answer_of_a_beacon_that_is_on_is_used_for_a_minute(later_ns: int, used: bool) -> None:
+    line, at_ns = pipeline(), (UTC_S + 3) * S
+    line.feed(RX, status(UTC_S * S), at_ns)
+    line.feed(RX, status(0, is_on=False), at_ns)
+    (batch,) = line.feed(RX, sweeps(0, [(1, 1)]), at_ns + later_ns)
+    assert isinstance(batch, Batch)
+    assert batch.time_ns.tolist() == [at_ns if used else at_ns + later_ns]
 
 
 def test_an_answer_of_more_than_a_minute_ago_is_not_used() -> None:

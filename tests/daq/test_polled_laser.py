@@ -170,6 +170,15 @@ def test_a_sample_has_the_time_between_its_request_and_its_answer() -> None:
     assert set(line.losses.values()) == {0}
 
 
+def test_samples_are_numbered() -> None:
+    line, numbers = pipeline(), list[int]()
+    for k in range(5):
+        line.feed(TX, b"M1\r", 10 * k * MS)
+        for item in line.feed(RX, b"M1,+01.0000\r", (10 * k + 1) * MS):
+            numbers += item.sequence.tolist() if isinstance(item, Batch) else []
+    assert numbers == [0, 1, 2, 3, 4]
+
+
 def test_values_may_grow_towards_the_sensor_or_have_another_unit() -> None:
     for settings, metres in (({"positive": "towards"}, -1e-3), ({"unit_m": 1e-6}, 1e-6)):
         line = pipeline(**settings)

@@ -199,6 +199,20 @@ def test_a_command_of_another_node_is_a_fault() -> None:
     assert rows(pipeline.feed(RX, text(extended(0x0917, "0000083400000000")), 3 * MS)) == [(300.0, 300.0)]
 
 
+def test_commands_to_other_controllers_and_frames_without_data_are_no_fault() -> None:
+    pipeline = can_pipeline("drive", controller())
+    pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
+    other = wire.simple(wire.SET_RPM, 23, 2800)
+    for frame in (
+        wire.simple(wire.SET_RPM, 22, 2800),
+        wire.simple(wire.SET_RPM, 24, 2800),
+        CanFrame(0x317, other.data),  # identifier of 11 bits
+        CanFrame(other.arbitration_id, other.data, extended=True, remote=True),
+    ):
+        assert pipeline.feed(RX, text(frame), MS) == []
+    assert kinds(pipeline.feed(RX, text(other), MS)) == ["fault"]
+
+
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
     pipeline = can_pipeline("drive", controller())
     frames = text(wire.simple(wire.SET_RPM, 23, 2100), extended(0x0917, "0000083400000000"))
