@@ -185,6 +185,7 @@ def test_a_seed_s_time_continues_over_wraps_with_its_rate() -> None:
         ({"host_ns": -(2**63)}, False),
         ({"host_ns": True}, False),
         ({"wrap_ns": 2**63}, False),
+        ({"host_ns": 2**63 + 1}, False),
         ({"other": 1}, False),
     ],
 )
@@ -409,7 +410,7 @@ def test_a_read_is_late_above_half_the_mean_lateness() -> None:
         assert (clock.std_ns / MS > late_ms) is added
 
 
-@pytest.mark.parametrize(("early_ms", "again"), [(0.19, False), (0.21, True)])
+@pytest.mark.parametrize(("early_ms", "again"), [(0.19, False), (0.2, False), (0.200001, True)])
 def test_a_read_of_a_precise_clock_is_a_step_back_if_it_is_200_us_early(early_ms: float, again: bool) -> None:
     """After a step the estimate rests on this read alone."""
     clock = in_time()
@@ -535,3 +536,31 @@ def test_samples_before_the_first_are_in_bins_before_its_own(rules: int, fitted:
     for k in range(1, 8):
         mapped(clock, 250.0 * k, 250e-4 * k)
     assert (rate_after(clock) != 0.0) is fitted
+
+
+def test_the_reads_of_thirty_seconds_count() -> None:
+    """Quarters of a second with 25 reads each, also those with a number above 256."""
+    assert in_time(7100).std_ns == pytest.approx(3e3 + 8 * 20e3 / (120 * 25), abs=0.1)
+
+
+def test_after_a_step_the_mapped_time_is_that_of_the_least_lag_at_once() -> None:
+    """The device clock drifts by 200 ppm and reads come every 40 ms: no part of the old rate is added twice."""
+
+    def late_ms(k: int) -> float:
+        return 2e-4 * 40.0 * k + (40.0 if k >= 500 else 0.0)
+
+    clock = ClockMap(50.0)
+    errors = [mapped(clock, 40.0 * k, late_ms(k)) for k in range(530)]
+    jump = next(k for k in range(500, 530) if errors[k] > 30.0)
+    assert min(abs(errors[jump] - late_ms(k)) for k in range(500, jump)) < 1e-3
+
+
+def test_a_seed_without_delay_gives_its_time_to_the_nanosecond() -> None:
+    clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, 0.0, 2**50))
+    assert int(clock.map(np.array([DEVICE0_NS]), START_NS)[0]) == START_NS
+
+
+def test_a_read_with_newer_and_older_samples_is_learned() -> None:
+    clock = in_time(100)
+    clock.map(np.array([DEVICE0_NS + 985 * MS, DEVICE0_NS + 995 * MS]), START_NS + 995 * MS - 3 * MS)
+    assert clock.std_ns > 1e6  # an early read: the correction is in progress
