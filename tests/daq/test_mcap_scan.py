@@ -101,6 +101,7 @@ def test_the_span_of_a_chunk_is_that_of_its_log_times() -> None:
     one = array(message(1, 7, 1))
     assert scan.spans(one, np.int64(7), np.int64(7))
     assert not scan.spans(one, np.int64(7), np.int64(8))
+    assert scan.spans(array(message(1, 0, 1)), np.int64(0), np.int64(0))
 
 
 def test_messages_outside_of_chunks_end_at_another_or_an_incomplete_record() -> None:

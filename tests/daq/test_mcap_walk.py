@@ -95,6 +95,14 @@ LOOSE = message(1, 10) + message(2, 20) + message(1, 30)
 INNER = message(1, 10) + message(2, 20) + message(1, 30)
 
 
+@pytest.mark.parametrize("begin", [b"", record(1, b"\xff" * 9), record(1, text("")[:3])])
+def test_a_damaged_header_costs_the_header_alone(tmp_path: Path, begin: bytes) -> None:
+    data = MAGIC + begin + metadata("one", {"a": "b"}) + chunk(INNER, 10, 30)
+    found = walked(tmp_path, data)
+    assert found.counts == {1: 2, 2: 1}
+    assert found.missing[0].text.startswith("the header is damaged: ")
+
+
 def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: Path) -> None:
     data = FRONT + LOOSE + data_end()
     found = walked(tmp_path, data + ending(data, b""))
@@ -382,6 +390,7 @@ def test_a_summary_has_the_places_and_numbers_of_its_records(tmp_path: Path) -> 
         assert (found.table.packed.tolist(), found.table.unpacked.tolist()) == ([len(RECORDS)], [len(RECORDS)])
         assert (found.table.start_ns.tolist(), found.table.end_ns.tolist()) == ([10], [30])
         assert (found.table.channel.tolist(), found.table.count.tolist()) == ([1], [2])
+        assert found.table.first_entry.tolist() == [0, 1]
         assert list(found.definitions.channels) == [1]
         assert found.statistics is not None
         assert (found.attachments, found.metadata) == ([], [])

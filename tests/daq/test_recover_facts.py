@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 from pathlib import Path
 
@@ -113,6 +114,20 @@ def test_an_attachment_that_is_not_read_as_before_is_missing(tmp_path: Path, mon
     assert (place.text, place.messages) == ("attachment 'a.json' whose CRC is wrong", 0)
     assert (place.byte_start, place.byte_end) == (len(FRONT), len(FRONT + whole))
     assert walk(FileBytes(found.path)).attachments == []
+
+
+def test_unreadable_notes_of_losses_do_not_prevent_a_recovery(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Unreadable:
+        def __init__(self, *given: object) -> None:
+            raise LogError("expected JSON in daq/health")
+
+    part = made(tmp_path, GOOD)
+    monkeypatch.setattr("daq.log.recover.Log", Unreadable)
+    with caplog.at_level(logging.WARNING, "daq"):
+        assert recover(part).messages == 2
+    assert "its counts of losses are not in the recovered log: expected JSON in daq/health" in caplog.text
 
 
 def test_messages_outside_of_chunks_are_recovered_as_a_chunk(tmp_path: Path) -> None:
