@@ -14,6 +14,7 @@ from daq.log.recover import recover
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
 from daq.mcap.records import AttachmentPlace, DamageError
+from daq.mcap.writer import LIBRARY, MAGIC
 from tests.daq.test_mcap_scan import attachment
 from tests.daq.test_mcap_walk import (
     FRONT,
@@ -22,6 +23,7 @@ from tests.daq.test_mcap_walk import (
     chunk,
     data_end,
     ending,
+    header,
     indexes,
     message,
     metadata,
@@ -123,10 +125,12 @@ def test_unreadable_notes_of_losses_do_not_prevent_a_recovery(
         def __init__(self, *given: object) -> None:
             raise LogError("expected JSON in daq/health")
 
-    part = made(tmp_path, GOOD)
+    part = tmp_path / "ours.mcap"
+    part.write_bytes(MAGIC + header(LIBRARY) + GOOD)
     monkeypatch.setattr("daq.log.recover.Log", Unreadable)
     with caplog.at_level(logging.WARNING, "daq"):
-        assert recover(part).messages == 2
+        found = recover(part)
+    assert (found.messages, found.seconds) == (2, 2.5)
     assert "its counts of losses are not in the recovered log: expected JSON in daq/health" in caplog.text
 
 
