@@ -73,6 +73,12 @@ def test_a_channel_without_definition_has_no_schema(tmp_path: Path) -> None:
     assert (new.channels[3].topic, new.channels[3].schema_id) == ("unknown/3", 0)
 
 
+def test_every_number_of_a_channel_is_recovered(tmp_path: Path) -> None:
+    found = recover(made(tmp_path, chunk(message(0, 5) + message(65535, 6) + message(65535, 7), 5, 7)))
+    assert found.messages == 3
+    assert walk(FileBytes(found.path)).counts == {0: 1, 65535: 2}
+
+
 def test_an_unknown_number_of_missing_messages_is_unknown(tmp_path: Path) -> None:
     old = made(tmp_path, chunk(INNER, 10, 30, crc=5), GOOD)
     found = recover(old, tmp_path / "deep" / "new.mcap")
