@@ -238,7 +238,7 @@ class SimulatedEncoders(FarEnd):
             for encoder in self.encoders:
                 encoder.take(frame)
             if self._second_master and frame.arbitration_id == cia301.COB_SYNC:
-                self._foreign += [frame, frame]
+                self._foreign.append(frame)
         return answers + self._take()
 
     def _take(self) -> bytes:
@@ -261,6 +261,9 @@ class SimulatedEncoders(FarEnd):
         if self._without_supply or not self._adapter.open:
             return b""
         foreign, self._foreign = self._foreign, []
+        for frame in foreign:  # they are answered in the next interval
+            for encoder in self.encoders:
+                encoder.take(frame)
         reports = sorted(due, key=lambda entry: (entry[0], entry[1].arbitration_id))
         return b"".join(slcan.encode(frame) for frame in (*(frame for _, frame in reports), *foreign))
 

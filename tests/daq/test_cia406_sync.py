@@ -1,0 +1,192 @@
+"""CANopen encoders: SYNCs of other nodes, late and missing answers, and periods without a SYNC."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.drivers.cia406.sync_sender import SyncSender
+from daq.items import RX, TX
+from tests.daq.test_cia406 import SYNC, Line, bench_of, report, settings
+
+ALL = report(3, 1), report(4, 1), report(5, 1)
+
+
+def test_an_adapter_may_echo_the_sync_but_another_sender_is_a_fault() -> None:
+    line = Line()
+    for _ in range(3):
+        line.period(SYNC, *ALL)
+    assert line.losses == {}
+    line.period(SYNC, *ALL, SYNC, *ALL)
+    line.period(SYNC, *ALL, SYNC, *ALL)
+    assert line.losses == {"foreign_syncs": 2, "unasked": 6}
+    assert len(line.batches()) == 5
+    (fault,) = line.events("fault")
+    assert "another node sends SYNC" in fault.text
+
+
+def test_an_echo_that_is_read_late_or_lost_is_no_fault() -> None:
+    line = Line()
+    for number in range(40):
+        line.period(*([] if number % 10 == 4 else [SYNC]), *ALL, after_ms=60.0 if number % 7 == 3 else 1.0)
+        line.now_ms += 60.0 * (number % 7 == 3)
+    assert {**line.losses, "unsampled": 0, "late": 0, "samples": 0} == {"unsampled": 0, "late": 0, "samples": 0}
+    assert line.events("fault") == []
+
+
+def test_a_lost_echo_does_not_make_the_next_one_foreign() -> None:
+    line = Line()
+    line.period(*ALL)
+    for _ in range(5):
+        line.period(SYNC, *ALL)
+    assert line.losses == {}
+
+
+def without_echo(**other: Any) -> Line:
+    line = Line(**other)
+    for _ in range(5):
+        line.period(*ALL)
+    return line
+
+
+def test_an_adapter_that_has_not_echoed_does_not_begin_to() -> None:
+    line = without_echo()
+    line.period(SYNC, *ALL, *ALL)
+    assert line.losses == {"foreign_syncs": 1, "unasked": 3}
+    assert len(line.batches()) == 5, "the reports may belong to either SYNC"
+    line.period(*ALL)
+    line.period(*ALL)
+    line.at(0, RX, b"")
+    assert line.losses == {"foreign_syncs": 1, "unasked": 3, "samples": 1}
+    assert len(line.batches()) == 7
+    assert len(line.events("fault")) == 1
+
+
+def test_reports_to_a_foreign_sync_before_the_own_one_are_not_used() -> None:
+    """The other node's SYNC is read before this host's is sent, its reports after it."""
+    line = without_echo()
+    line.period(*ALL)
+    line.at(-0.4, RX, SYNC + report(3, 50))
+    line.period(report(4, 50) + report(5, 50), *ALL)
+    line.period(*ALL)
+    line.at(0, RX, b"")
+    assert line.losses["samples"] == line.losses["foreign_syncs"] == 1
+    counts = [int(batch.columns["count_b"][0]) for batch in line.batches()]
+    assert counts == [1] * 7
+
+
+def test_a_foreign_sync_that_encoders_have_answered_in_time_costs_no_sample() -> None:
+    line = without_echo()
+    for _ in range(10):
+        line.period(*ALL)
+        line.at(-5.0, RX, SYNC)
+        for data in ALL:
+            line.at(-4.0, RX, data)
+    line.period(*ALL)
+    assert line.losses == {"foreign_syncs": 10, "unasked": 30}
+    assert len(line.batches()) == 16
+
+
+def test_a_foreign_sync_in_step_is_found_by_double_answers() -> None:
+    """From the beginning of the log, shortly after each of this host's, at an adapter that does not echo."""
+    line = Line()
+    for _ in range(20):
+        line.period(SYNC, *ALL, *ALL)
+    assert line.losses["foreign_syncs"] == 20
+    assert len(line.batches()) <= 3
+    assert len(line.events("fault")) == 1
+
+
+@pytest.mark.parametrize("step_ms", [0.0, 0.37, 3.0, 4.99])
+@pytest.mark.parametrize("period_ms", [9.991, 23.0, 10.0])
+def test_no_angle_of_a_drifting_foreign_sync_gets_the_time_of_an_own_one(period_ms: float, step_ms: float) -> None:
+    """The encoders turn at 100 counts/ms and answer each SYNC after 0.9 ms."""
+    own = [10.0 * number for number in range(300)]
+    other = [step_ms + period_ms * number for number in range(int(2990 / period_ms))]
+    frames = [(at + 0.1, TX, at) for at in own] + [(at + 0.2, RX, at) for at in other]
+    answers = [(bus + 0.9, number) for number, (bus, _, _) in enumerate(sorted(frames))]
+    line = Line()
+    events: list[tuple[float, int, bytes]] = [(at, TX, SYNC) for at in own]
+    events += [(at + 0.25, RX, SYNC) for at in other]
+    for (at, _), (bus, _, _) in zip(answers, sorted(frames), strict=True):
+        raw = int(bus * 100) % 4096
+        events += [(at + 0.1 * (node - 3), RX, report(node, raw)) for node in (3, 4, 5)]
+    for at, direction, data in sorted(events, key=lambda event: event[0]):
+        line.at(at, direction, data)
+    line.at(3000.0, RX, b"")
+    errors = [
+        math.remainder(int(batch.columns["count_a"][0]) - int(batch.time_ns[0]) / 10_000 - 10, 4096)
+        for batch in line.batches()
+    ]
+    wrong = [error for error in errors if abs(error) > 1]
+    assert len(wrong) <= 3, "only of the first SYNCs of a log"
+    assert line.losses["foreign_syncs"] == len(other)
+    assert line.losses.get("samples", 0) + len(line.batches()) >= len(own) - 1
+
+
+def test_one_lost_report_does_not_delay_the_next_sync_but_a_silent_bus_does() -> None:
+    bench, _ = bench_of()
+    sent: list[float] = []
+    with bench.running():
+        sender = SyncSender(settings(), lambda data: sent.append(bench.time.now_s), bench.clock)
+        sender.start()
+        for _ in range(20):
+            count = len(sent)
+            while len(sent) == count:
+                bench.time.pass_time(0.001)
+            sender.heard(report(3, 1) + report(4, 1))
+            bench.time.pass_time(0.001)
+            sender.heard(report(5, 1))
+        begin = len(sent)
+        for _ in range(2):
+            sender.heard(report(3, 1) + report(4, 1))  # the shaft's is lost
+            bench.time.pass_time(0.0101)
+        lost = np.diff(sent[begin - 1 :])
+        count = len(sent)
+        bench.time.pass_time(0.1)
+        silent = len(sent) - count
+        sender.stop()
+    assert lost == pytest.approx([0.01] * len(lost), abs=0.003)
+    assert len(lost) >= 1
+    assert silent == 0
+
+
+def test_periods_without_a_sync_are_counted() -> None:
+    line = Line()
+    line.all_answer()
+    line.now_ms += 200.0
+    line.all_answer()
+    for _ in range(3):  # 13 ms instead of 10 ms
+        line.now_ms += 3.0
+        line.all_answer()
+    line.now_ms += 3.0
+    line.all_answer()
+    line.at(0, RX, b"")
+    assert line.losses == {"unsampled": 21}
+    assert sum(event.facts["unsampled"] for event in line.events("gap")) == 21
+    assert line.events("gap")[0].facts["span_s"] == pytest.approx(0.2)
+
+
+def test_a_host_that_is_late_by_less_than_a_period_has_sent_all_syncs() -> None:
+    line = Line()
+    for number in range(3000):
+        late = 9.0 if number % 50 == 49 else 0.001 * (number % 3)
+        line.at(late, TX, SYNC)
+        line.at(late + 0.5, RX, b"".join(ALL))
+        line.now_ms += 10.0001
+    assert line.losses == {}
+
+
+def test_a_report_that_comes_after_the_next_sync_does_not_get_its_time() -> None:
+    line = Line()
+    for _ in range(3):
+        line.all_answer(100)
+    line.period(report(3, 200), report(5, 200))
+    line.period(report(4, 200), report(3, 300) + report(4, 300) + report(5, 300))  # B's first one is late
+    line.all_answer(400)
+    counts = [(int(batch.sequence[0]), int(batch.columns["count_b"][0])) for batch in line.batches()]
+    assert counts == [(0, 100), (1, 100), (2, 100), (4, 300), (5, 400)]
+    assert line.losses == {"samples": 1, "reports": 1, "unasked": 1}
