@@ -16,7 +16,7 @@ Counts = Annotated[int, Field(ge=0, lt=2**31)]
 Positive = Literal["cw", "ccw"]
 
 LATEST_S = 0.1
-"""Latest report after its SYNC, s. The host waits twice as long, so that it is not taken for an answer to the next."""
+"""Latest report after its SYNC, s. The host waits twice as long for the first report; see `SyncSender`."""
 
 _SYNC_BITS, _REPORT_BITS = 67, 117  # longest frames of 0 and 4 bytes, with stuffing and the space between frames
 _LINE_BITS = 150  # text of a report: 14 characters and CR, 10 bits each
