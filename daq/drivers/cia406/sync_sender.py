@@ -16,18 +16,20 @@ from daq.transports.host_clock import HostClock
 _ANSWERED = b"\r"
 _MISSES = 3
 _UNANSWERED_S = 2 * LATEST_S
-_ROUNDS, _MIN_ROUNDS = 64, 8  # newest SYNCs from which the wait follows, and fewest that give one
-_MARGIN, _LEAST_S = 4.0, 0.005  # of the longest wait for the last answer in these; shortest wait for it, s
+_ROUNDS, _MIN_ROUNDS = 31, 8  # newest SYNCs from which the wait follows, and fewest that give one
+_SHARE, _MARGIN = 0.9, 2.0  # the wait is twice that within which the last answer came to 90 % of these
+_LEAST_S = 0.005  # shortest wait for the last answer, s
 
 
 class SyncSender(RequestLoop):
     """See Poller. A SYNC that not all encoders answer delays the next one.
 
     If no encoder answers, the adapter or the host may be late: the next SYNC waits for twice `LATEST_S`, after which no
-    report counts as an answer. If one has answered, the reports of the others are on the same way and come soon: the
-    wait for them begins at the first answer and is `_MARGIN` times the longest one of the newest SYNCs, at least
-    `_LEAST_S`. One that comes still later makes the next waits longer, and is recognised in the decoding
-    (`SyncTimes`). An encoder that has not answered `_MISSES` times is not waited for until it answers again, so that a
+    report counts as an answer. If one has answered in time, those of the others are on the same way and come soon:
+    the wait for them begins at the first answer and follows from the newest SYNCs, see `_MARGIN`. One that comes still
+    later makes the next waits longer, and is recognised in the decoding (`SyncTimes`). If the first answer is late by
+    more than `max_lateness_s`, all are waited for as if none had come: the shaft's shows whether the SYNC was late. An
+    encoder that has not answered `_MISSES` times is not waited for until it answers again, so that a
     dead encoder does not slow down the others.
 
     Args:
@@ -44,7 +46,9 @@ class SyncSender(RequestLoop):
         self._lines = slcan.LineDecoder()
         self._write = send
         self._first_s: float | None = None  # wall time of the first answer to the newest SYNC
+        self._firsts: deque[float] = deque(maxlen=_ROUNDS)  # from the SYNC to the first answer, s
         self._waits: deque[float] = deque(maxlen=_ROUNDS)  # from the first answer to the last one, s
+        self._max_lateness_s = settings.max_lateness_s
         self._unanswered = Request(lambda number: wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, _UNANSWERED_S)
         super().__init__(self._unanswered, self._sync, clock)
 
@@ -68,14 +72,16 @@ class SyncSender(RequestLoop):
         self._missing.discard(identifier)
         if self._first_s is None:
             self._first_s = now_s
-            wait_s = self._clock.wall_s() - (self._asked_s or now_s) + self._last_answer_s()
-            self._request = replace(self._unanswered, answer_s=min(wait_s, _UNANSWERED_S))
+            first_s = now_s - (self._asked_s or now_s)
+            self._firsts.append(first_s)
+            self._request = replace(self._unanswered, answer_s=min(first_s + self._others_s(first_s), _UNANSWERED_S))
 
-    def _last_answer_s(self) -> float:
-        """Return how long the last answer to a SYNC is waited for after the first one, s."""
-        if len(self._waits) < _MIN_ROUNDS:
+    def _others_s(self, first_s: float) -> float:
+        """Return how long the other answers are waited for after the first one, s."""
+        late_s = first_s - sorted(self._firsts)[len(self._firsts) // 2]
+        if len(self._waits) < _MIN_ROUNDS or late_s > self._clock.wall(self._max_lateness_s):
             return _UNANSWERED_S
-        return max(_MARGIN * max(self._waits), _LEAST_S)
+        return max(_MARGIN * sorted(self._waits)[int(_SHARE * len(self._waits))], _LEAST_S)
 
     def _sync(self, data: bytes) -> None:
         given_up = self._missing if self._first_s is not None else set[int]()
