@@ -14,7 +14,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import DialogueObjects, NodeObjects
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 from daq.drivers.contract import Talk
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
@@ -31,7 +31,7 @@ def open_encoders(device: str, settings: EncoderBus, talk: Talk) -> dict[str, An
 
     Returns:
         Identity: serial (those of all encoders), and of each encoder: serial, maker, product, counts per revolution,
-        number of positions, whether they grow counter-clockwise.
+        number of positions, whether they grow counter-clockwise, and the faults that it has (`node_watch.FoundFaults`).
 
     Raises:
         DeviceError: an encoder does not answer, is no encoder or another one, counts otherwise than the rig file
@@ -74,8 +74,17 @@ def _identify(device: str, encoder: Encoder, objects: NodeObjects) -> dict[str, 
         "per_turn": scale.per_turn,
         "positions": scale.positions,
         "counter_clockwise": int(scale.counter_clockwise),
+        **_faults(objects),
     }
     return {f"{encoder.name}_{name}": value for name, value in found.items()}
+
+
+def _faults(objects: NodeObjects) -> dict[str, int]:
+    """Read the faults that an encoder has now: its emergencies about them may have been sent before the session."""
+    register = objects.read(cia301.ERROR_REGISTER, 0) or 0
+    code = (objects.read(cia301.PREDEFINED_ERROR_FIELD, 1) or 0) & 0xFFFF if register else 0
+    alarms, warnings = (objects.read(index, 0) or 0 for index in (wire.ALARMS, wire.WARNINGS))
+    return dict(zip(FAULT_KEYS, (register, code, alarms, warnings), strict=True))
 
 
 def _scale(device: str, encoder: Encoder, objects: NodeObjects) -> wire.Scale:

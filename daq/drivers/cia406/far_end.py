@@ -93,6 +93,9 @@ class SimulatedEncoder:
     def emergency(self, code: int) -> None:
         """Send an emergency with an error code; 0: the error has ended."""
         register = 0x21 if code else 0  # bit 0 generic, bit 5 device profile
+        self.objects[cia301.ERROR_REGISTER, 0] = (register, "<B")
+        self.objects[cia301.PREDEFINED_ERROR_FIELD, 0] = (int(code > 0), "<B")
+        self.objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
         self.out.append(slcan.CanFrame(0x080 + self.node, struct.pack("<HB5x", code, register)))
 
     def _written(self, index: int, sub: int, value: int) -> None:

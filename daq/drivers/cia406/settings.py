@@ -18,6 +18,9 @@ Positive = Literal["cw", "ccw"]
 LATEST_S = 0.1
 """Latest report after its SYNC, s. The host waits twice as long for the first report; see `SyncSender`."""
 
+FAULT_KEYS = ("error_register", "error_code", "alarms", "warnings")
+"""Keys of an encoder's faults in the identity, after its name: 1001h, newest of 1003h, 6503h, 6505h."""
+
 _SYNC_BITS, _REPORT_BITS = 67, 117  # longest frames of 0 and 4 bytes, with stuffing and the space between frames
 _LINE_BITS = 150  # text of a report: 14 characters and CR, 10 bits each
 _MOST_OF_LINE = 0.9  # answers to the host's frames and heartbeats need the rest

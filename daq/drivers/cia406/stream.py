@@ -18,7 +18,7 @@ from daq.drivers.can_lines import CanLines
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
-from daq.drivers.cia406.node_watch import NodeWatch
+from daq.drivers.cia406.node_watch import FoundFaults, NodeWatch
 from daq.drivers.cia406.reports import Instant, Marks, Turns
 from daq.drivers.cia406.settings import Encoder, EncoderBus
 from daq.drivers.cia406.sync_origin import SyncOrigin
@@ -64,7 +64,11 @@ class EncoderPipeline:
         self._device, self._settings = device, settings
         self._lines = CanLines(device, self.losses)
         encoders = settings.encoders
-        self._watches = {each.name: NodeWatch(device, each, settings.heartbeat_ms) for each in encoders}
+        self._watches = {
+            each.name: NodeWatch(device, each, settings.heartbeat_ms, FoundFaults.of(each, identity))
+            for each in encoders
+        }
+        self._begun = False
         per_turn = settings.counts_per_revolution
         self._positions = {each.name: _positions(each, per_turn, identity) for each in encoders}
         self._turns = {each.name: Turns(per_turn, each.zero_counts, _sign(each, identity)) for each in encoders}
@@ -96,8 +100,11 @@ class EncoderPipeline:
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
+        out: list[Batch | DeviceEvent] = []
+        if not self._begun:
+            self._begun = True
+            out += [event for watch in self._watches.values() for event in watch.opened()]
         if direction == TX:
-            out: list[Batch | DeviceEvent] = []
             for frame in cia301.own_frames(self._lines.sent(data)):
                 if frame.arbitration_id == cia301.COB_SYNC:
                     self._has_sent = True
@@ -106,9 +113,9 @@ class EncoderPipeline:
                     out += self._pauses(host_ns)
             return out
         if not data:
-            return list(self._end())
+            return [*out, *self._end()]
         frames, events = self._lines.received(data)
-        out = [*events]
+        out += events
         for frame in cia301.own_frames(frames):
             known = self._by_frame.get(frame.arbitration_id)
             if known is not None:
@@ -120,6 +127,16 @@ class EncoderPipeline:
                 self.losses["heartbeats"] += 1
                 out.append(event)
         return out
+
+    @property
+    def faults(self) -> list[str]:
+        """Present faults of the encoders, for the operator."""
+        return [watch.fault for watch in self._watches.values() if watch.fault]
+
+    @property
+    def syncs(self) -> int:
+        """Number of SYNCs so far."""
+        return self._sync.count
 
     # --- SYNC --------------------------------------------------------------------------------------------------
 
