@@ -18,7 +18,7 @@ _MISSES = 3
 _UNANSWERED_S = 2 * LATEST_S
 _ROUNDS, _MIN_ROUNDS = 31, 8  # newest SYNCs from which the wait follows, and fewest that give one
 _SHARE, _MARGIN = 0.9, 2.0  # the wait is twice that within which the last answer came to 90 % of these
-_LEAST_S = 0.005  # shortest wait for the last answer, s
+_LEAST_S = 0.012  # shortest wait for the last answer, s: a busy host reads late by as much
 
 
 class SyncSender(RequestLoop):
