@@ -90,6 +90,11 @@ class SimulatedEncoder:
         """Its objects, which a test may change."""
         return self._sdo.objects
 
+    @property
+    def fixed(self) -> set[tuple[int, int]]:
+        """Objects that it refuses to change, until its next start."""
+        return self._sdo.fixed
+
     def emergency(self, code: int) -> None:
         """Send an emergency with an error code; 0: the error has ended."""
         register = 0x21 if code else 0  # bit 0 generic, bit 5 device profile

@@ -18,19 +18,17 @@ from daq.drivers.can_lines import CanLines
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
+from daq.drivers.cia406.known import offset_of, positions_of, sign_of
 from daq.drivers.cia406.node_watch import FoundFaults, NodeWatch
 from daq.drivers.cia406.reports import Instant, Marks, Turns
-from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.cia406.settings import EncoderBus
 from daq.drivers.cia406.sync_origin import SyncOrigin
-from daq.drivers.cia406.synchronous import SyncSchedule, SyncTimes
-from daq.errors import DeviceError
+from daq.drivers.cia406.synchronous import SilentEncoders, SyncSchedule, SyncTimes
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
 
 Items = Iterator[Batch | DeviceEvent]
 
-_SILENT = 3  # SYNCs in succession that an encoder has not answered
-_ANY_POSITION = 2**32
 _AGAIN_NS = 1_000_000_000
 
 
@@ -70,8 +68,9 @@ class EncoderPipeline:
         }
         self._begun = False
         per_turn = settings.counts_per_revolution
-        self._positions = {each.name: _positions(each, per_turn, identity) for each in encoders}
-        self._turns = {each.name: Turns(per_turn, each.zero_counts, _sign(each, identity)) for each in encoders}
+        self._positions = {each.name: positions_of(each, per_turn, identity) for each in encoders}
+        self._offsets = {each.name: offset_of(each, identity) for each in encoders}
+        self._turns = {each.name: Turns(per_turn, each.zero_counts, sign_of(each, identity)) for each in encoders}
         self._by_frame: dict[int, tuple[str, Callable[[str, slcan.CanFrame, int], Items]]] = {}
         for each in encoders:
             self._by_frame[cia301.cob_tpdo(1, each.node)] = each.name, self._report
@@ -81,7 +80,8 @@ class EncoderPipeline:
         delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
         self._sync = SyncTimes(tuple(self._watches), delay_ns, round(settings.max_lateness_s * 1e9))
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
-        self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
+        self._silent = SilentEncoders()
+        self._refused_before = 0  # lines that the adapter had refused when all encoders had last answered
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
         self._b = NewestOfB()
         self._marks = Marks(per_turn, period_ns)
@@ -169,13 +169,22 @@ class EncoderPipeline:
         if not has_sample:
             self._lost += 1
             self.losses["samples"] += 1
-        for name in self._watches:
-            self._silent[name] = self._silent[name] + 1 if name in missing else 0
-            if self._silent[name] == _SILENT:
-                text = f"{self._watches[name].name} has not answered {_SILENT} SYNCs: it gives no position"
-                yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
-            elif missing == [name] == ["shaft"]:
-                yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+        if not missing:
+            self._refused_before = self.losses["refused_lines"]
+        for name, count in self._silent.sync(missing, host_ns).items():
+            text = f"{self._watches[name].name} has not answered {count} SYNCs: {self._why_silent()}"
+            yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
+        if missing == ["shaft"]:
+            yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+
+    def _why_silent(self) -> str:
+        refused = self.losses["refused_lines"] - self._refused_before
+        if not refused:
+            return "it gives no position"
+        return (
+            f"the adapter has refused {refused} lines since the last answer, so they did not go out. It was reset, or "
+            "no node acknowledges them: look at its supply, the bus and its termination, and open the rig again"
+        )
 
     def _pauses(self, host_ns: int) -> Items:
         """Count the periods in which this host has sent no SYNC, and report them once a second."""
@@ -220,10 +229,10 @@ class EncoderPipeline:
         yield from self._watches[name].emergency(frame)
 
     def _report(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
-        raw = wire.position(frame.data)
+        raw = wire.position(frame.data, self._offsets[name])
         wrong = ""
         if raw is None:
-            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES}"
+            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES + self._offsets[name]}"
         elif raw >= self._positions[name]:
             wrong = f"position {raw}, expected less than {self._positions[name]}"
         elif self._watches[name].restarted:
@@ -364,24 +373,3 @@ class EncoderPipeline:
                 "node_time_us": np.array([own_ns // 1000], np.int64).astype(np.uint64),
             }
             yield Batch(channels.TACHO, np.array([self._mark_ns], np.int64), number, columns)
-
-
-def _positions(encoder: Encoder, per_turn: int, identity: Mapping[str, Any]) -> int:
-    """Return the number of different positions of an encoder; unlimited if it was not queried."""
-    positions = identity.get(f"{encoder.name}_positions", _ANY_POSITION)
-    if (
-        type(positions) is int
-        and 0 < positions <= _ANY_POSITION
-        and (positions == _ANY_POSITION or positions % per_turn == 0)
-    ):
-        return positions
-    raise DeviceError(
-        f"identity of encoder {encoder.name}: expected a number of positions that is a multiple of {per_turn}, got "
-        f"{positions!r:.80}"
-    )
-
-
-def _sign(encoder: Encoder, identity: Mapping[str, Any]) -> int:
-    """Return 1 if positions grow with the angle, also of an encoder that was not queried, otherwise -1."""
-    counter_clockwise = identity.get(f"{encoder.name}_counter_clockwise", encoder.positive == "ccw")
-    return 1 if bool(counter_clockwise) == (encoder.positive == "ccw") else -1

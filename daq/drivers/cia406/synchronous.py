@@ -18,6 +18,7 @@ from daq.drivers.cia406.reports import Instant
 from daq.drivers.cia406.settings import LATEST_S
 
 _USUAL = 31  # round trips of which the median is the usual one
+_SILENT, _SILENT_NS = 3, round(2e9 * LATEST_S)
 _CREEP = 1e-4  # relative rate error of the host's clock, or of a rounded period, that is no missing SYNC
 _ROUNDING = 0.02  # of a period, by which the end of whole periods may come early
 
@@ -143,6 +144,26 @@ class SyncTimes:
             asked.prompt = self._is_prompt(host_ns - asked.host_ns)
         asked.got[name] += 1
         return self.newest
+
+
+class SilentEncoders:
+    """Encoders that have not answered `_SILENT` SYNCs, for `_SILENT_NS` at least: a busy host may miss some answers."""
+
+    def __init__(self) -> None:
+        self._missed: dict[str, tuple[int, int]] = {}  # SYNCs without an answer, and time of the first one, ns
+        self._reported: set[str] = set()
+
+    def sync(self, missing: list[str], host_ns: int) -> dict[str, int]:
+        """Take the encoders that have not answered; return those that are silent from now on, with their SYNCs."""
+        self._missed = {name: self._missed.get(name, (0, host_ns)) for name in missing}
+        self._reported &= set(missing)
+        found: dict[str, int] = {}
+        for name, (count, since_ns) in self._missed.items():
+            self._missed[name] = count + 1, since_ns
+            if count + 1 >= _SILENT and host_ns - since_ns >= _SILENT_NS and name not in self._reported:
+                self._reported.add(name)
+                found[name] = count + 1
+        return found
 
 
 class SyncSchedule:

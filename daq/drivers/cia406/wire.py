@@ -51,9 +51,10 @@ class Scale:
     counter_clockwise: bool
 
 
-def position(data: bytes) -> int | None:
-    """Return the position, counts, in a report whose first object is 6004h; None if it is shorter than 4 bytes."""
-    return None if len(data) < POSITION_BYTES else int(struct.unpack_from("<I", data)[0])
+def position(data: bytes, offset: int = 0) -> int | None:
+    """Return the position, counts, in a report that contains 6004h at a place in bytes; None if it is too short."""
+    end = offset + POSITION_BYTES
+    return None if len(data) < end else int(struct.unpack_from("<I", data, offset)[0])
 
 
 def network_command(command: int, node: int) -> bytes:
