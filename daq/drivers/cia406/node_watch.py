@@ -39,7 +39,7 @@ class FoundFaults:
 
     @property
     def faulty(self) -> bool:
-        """Whether there is a fault. Warnings are none."""
+        """Whether there is a fault. A warning does not count."""
         return bool(self.error_register or self.alarms)
 
     @property

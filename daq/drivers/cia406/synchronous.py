@@ -169,7 +169,8 @@ class SilentEncoders:
 class SyncSchedule:
     """The periods in which this host has sent no SYNC, because it waited for answers or was busy.
 
-    The host makes up for no SYNC: after a pause it goes on from the present time.
+    The host makes up for one SYNC at most, see `RequestLoop`: the SYNC after one that was late by more than a period is
+    due at once, and the time by which it was later is lost.
 
     Args:
         period_ns: period of the SYNCs, ns.
@@ -178,10 +179,14 @@ class SyncSchedule:
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._due_ns: float | None = None
+        self._lost_ns = 0.0
 
     def sent(self, host_ns: int) -> int:
         """Take a SYNC; return the number of periods without a SYNC before it."""
         due_ns = host_ns if self._due_ns is None else min(self._due_ns, host_ns)
-        skipped = int((host_ns - due_ns) / self._period_ns + _ROUNDING)
-        self._due_ns = due_ns + (skipped + 1 + _CREEP) * self._period_ns
+        next_ns = due_ns + (1 + _CREEP) * self._period_ns
+        self._due_ns = max(next_ns, host_ns)
+        self._lost_ns += self._due_ns - next_ns
+        skipped = int(self._lost_ns / self._period_ns + _ROUNDING)
+        self._lost_ns -= skipped * self._period_ns
         return skipped
