@@ -93,7 +93,8 @@ class RigObservation:
         displacements: samples of the displacement sensors, by topic.
         angles, speed: None if the rig has no such device.
         time_out: time-out of the speed source, or the reason why it was not measured; None without a speed source.
-        own: checks of the devices' drivers, by device.
+        own: checks of the devices' drivers, by device. Those of losses (`lost_…`, `foreign_…`) replace the general
+            ones, since a driver can state the likely causes on its line.
         clock_stds_ns: stated standard uncertainties of the devices' times on the common clock, ns, by device;
             medians of the second half.
         unopened: reasons why devices are not open, by device.
@@ -142,7 +143,7 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
         on_air = roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0
         if name in look.clock_stds_ns:
             checks.update(_clock(look.clock_stds_ns[name], look.seconds))
-        checks.update(_losses(lost, on_air))
+        checks |= {kind: check for kind, check in _losses(lost, on_air).items() if kind not in checks}
         checks.update(_restarts([e for e in look.events if e.device == name]))
         if name in look.complaints and passed(checks):
             checks["identity"] = DeviceCheck("differs", "as in the rig file", False, look.complaints[name])

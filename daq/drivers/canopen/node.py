@@ -16,6 +16,7 @@ Objects = dict[tuple[int, int], tuple[int, str]]
 """Value and struct format of each object by index and sub-index."""
 
 NO_SUCH_OBJECT, WRONG_LENGTH, UNKNOWN_COMMAND = 0x06020000, 0x06070010, 0x05040001  # abort codes
+READ_ONLY = 0x06010002
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 
 _NMT = {
@@ -34,6 +35,10 @@ class SdoServer:
         objects: objects that can be read and written; changed in place.
         measured: functions that return the bytes of objects that are only read.
         written: called with index, sub-index and value after each write.
+
+    Attributes:
+        objects: see above.
+        fixed: objects that it refuses to change, by index and sub-index.
     """
 
     def __init__(
@@ -43,6 +48,7 @@ class SdoServer:
         written: Callable[[int, int, int], None] = lambda index, sub, value: None,
     ) -> None:
         self.objects: Objects = objects
+        self.fixed: set[tuple[int, int]] = set()
         self._measured, self._written = measured, written
 
     def answer(self, request: bytes) -> bytes:
@@ -55,17 +61,24 @@ class SdoServer:
                 return _abort(head, NO_SUCH_OBJECT)
             return bytes([0x43 | (4 - len(value)) << 2]) + head + value.ljust(4, b"\0")
         if command & 0xE3 == 0x23 or command & 0xE2 == 0x22:
-            entry = self.objects.get((index, sub))
-            if entry is None:
-                return _abort(head, NO_SUCH_OBJECT)
-            form = entry[1]
-            if command & 1 and 4 - (command >> 2 & 3) != struct.calcsize(form):
-                return _abort(head, WRONG_LENGTH)
-            (value,) = struct.unpack_from(form, request, 4)
-            self.objects[index, sub] = (value, form)
-            self._written(index, sub, value)
-            return b"\x60" + head + bytes(4)
+            abort = self._write(index, sub, request)
+            return b"\x60" + head + bytes(4) if abort is None else _abort(head, abort)
         return _abort(head, UNKNOWN_COMMAND)
+
+    def _write(self, index: int, sub: int, request: bytes) -> int | None:
+        """Carry out a write; return its abort code, None if it was carried out."""
+        entry = self.objects.get((index, sub))
+        if entry is None:
+            return NO_SUCH_OBJECT
+        if (index, sub) in self.fixed:
+            return READ_ONLY
+        command, form = request[0], entry[1]
+        if command & 1 and 4 - (command >> 2 & 3) != struct.calcsize(form):
+            return WRONG_LENGTH
+        (value,) = struct.unpack_from(form, request, 4)
+        self.objects[index, sub] = (value, form)
+        self._written(index, sub, value)
+        return None
 
     def _read(self, index: int, sub: int) -> bytes | None:
         measured = self._measured.get((index, sub))

@@ -14,16 +14,15 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import DialogueObjects, NodeObjects
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.cia406.report_setup import restoring, set_reports
+from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 from daq.drivers.contract import Talk
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_OFF, _NO_REMOTE = 1 << 31, 1 << 30  # bits of a PDO's identifier: not used; cannot be requested
 _SENDS_SYNC = 1 << 30  # bit of 1005h
-_OTHER_REPORTS = (1, 2, 3)  # TPDO2 … 4, after TPDO1
 
 
 def open_encoders(device: str, settings: EncoderBus, talk: Talk) -> dict[str, Any]:
@@ -31,7 +30,8 @@ def open_encoders(device: str, settings: EncoderBus, talk: Talk) -> dict[str, An
 
     Returns:
         Identity: serial (those of all encoders), and of each encoder: serial, maker, product, counts per revolution,
-        number of positions, whether they grow counter-clockwise.
+        number of positions, whether they grow counter-clockwise, the place of the position in its reports (bytes), and
+        the faults that it has (`node_watch.FoundFaults`).
 
     Raises:
         DeviceError: an encoder does not answer, is no encoder or another one, counts otherwise than the rig file
@@ -49,7 +49,7 @@ def open_encoders(device: str, settings: EncoderBus, talk: Talk) -> dict[str, An
         identity |= _identify(device, encoder, objects)
         _compare(device, settings, encoder, identity)
     for encoder, objects in nodes:
-        _set_up(settings, encoder, objects)
+        identity[f"{encoder.name}_offset"] = _set_up(settings, encoder, objects)
     for encoder, _ in nodes:
         talk.send(wire.network_command(NMT_START, encoder.node))
     serials = [str(identity[f"{encoder.name}_serial"]) for encoder in settings.encoders]
@@ -74,8 +74,17 @@ def _identify(device: str, encoder: Encoder, objects: NodeObjects) -> dict[str, 
         "per_turn": scale.per_turn,
         "positions": scale.positions,
         "counter_clockwise": int(scale.counter_clockwise),
+        **_faults(objects),
     }
     return {f"{encoder.name}_{name}": value for name, value in found.items()}
+
+
+def _faults(objects: NodeObjects) -> dict[str, int]:
+    """Read the faults that an encoder has now: its emergencies about them may have been sent before the session."""
+    register = objects.read(cia301.ERROR_REGISTER, 0) or 0
+    code = (objects.read(cia301.PREDEFINED_ERROR_FIELD, 1) or 0) & 0xFFFF if register else 0
+    alarms, warnings = (objects.read(index, 0) or 0 for index in (wire.ALARMS, wire.WARNINGS))
+    return dict(zip(FAULT_KEYS, (register, code, alarms, warnings), strict=True))
 
 
 def _scale(device: str, encoder: Encoder, objects: NodeObjects) -> wire.Scale:
@@ -111,36 +120,16 @@ def _compare(device: str, settings: EncoderBus, encoder: Encoder, identity: dict
         )
 
 
-def _set_up(settings: EncoderBus, encoder: Encoder, objects: NodeObjects) -> None:
-    """Set heartbeat and reports. The heartbeat is optional: the missing reports of an encoder are counted anyway."""
+def _set_up(settings: EncoderBus, encoder: Encoder, objects: NodeObjects) -> int:
+    """Set heartbeat and reports. The heartbeat is optional: the missing reports of an encoder are counted anyway.
+
+    Returns:
+        Place of the position in the report, bytes.
+    """
     with ignoring(_log, f"setting the heartbeat of encoder {encoder.name}", DeviceError):
         objects.write(cia301.PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms, 2)
     sync = objects.read(cia301.SYNC_IDENTIFIER, 0)
     if sync is not None and (sync & _SENDS_SYNC or sync & 0x7FF != cia301.COB_SYNC):
         objects.write(cia301.SYNC_IDENTIFIER, 0, cia301.COB_SYNC, 4)
-    for number in _OTHER_REPORTS:  # an encoder's second report is sent at each SYNC by default
-        own = objects.read(cia301.TPDO1 + number, 1)
-        if own is not None and not own & _OFF:
-            objects.write(cia301.TPDO1 + number, 1, own | _OFF, 4)
-    own = objects.read(cia301.TPDO1, 1)
-    remote = _NO_REMOTE & (own or 0)
-    identifier = remote | cia301.cob_tpdo(1, encoder.node)
-    objects.write(cia301.TPDO1, 1, _OFF | identifier, 4)
-    objects.write(cia301.TPDO1, 2, wire.EVERY_SYNC if settings.sync else wire.OWN_TIMER, 1)
-    if not settings.sync:
-        _set_timer(settings, objects)
-    if (objects.read(cia301.TPDO1_MAPPING, 0), objects.read(cia301.TPDO1_MAPPING, 1)) != (1, wire.POSITION_MAPPED):
-        objects.write(cia301.TPDO1_MAPPING, 0, 0, 1)
-        objects.write(cia301.TPDO1_MAPPING, 1, wire.POSITION_MAPPED, 4)
-        objects.write(cia301.TPDO1_MAPPING, 0, 1, 1)
-    objects.write(cia301.TPDO1, 1, identifier, 4)
-
-
-def _set_timer(settings: EncoderBus, objects: NodeObjects) -> None:
-    """Set the period of the reports. Both objects are the same timer, and some encoders have only one of them."""
-    if objects.read(wire.CYCLIC_TIMER, 0) is not None:
-        objects.write(wire.CYCLIC_TIMER, 0, settings.period_ms, 2)
-    else:
-        objects.write(cia301.TPDO1, 5, settings.period_ms, 2)
-    if objects.read(cia301.TPDO1, 3):  # an inhibit time would hold reports back
-        objects.write(cia301.TPDO1, 3, 0, 2)
+    with restoring(objects) as changes:
+        return set_reports(settings, encoder, changes)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.cia406.settings import EncoderBus
+from daq.drivers.checks import Checks
+from daq.drivers.cia406.settings import FAULT_KEYS, EncoderBus
 from daq.drivers.contract import DeviceLine, Pipeline, Poller, SpeedControl, Talk
 from daq.drivers.identification import IdentityTurns
 from daq.drivers.plain import PlainDriver
@@ -29,6 +29,7 @@ class Cia406(PlainDriver):
     rest_s: float = 0.001
     example: ClassVar[Mapping[str, Any]] = {"a_node": 3, "b_node": 4, "shaft_node": 5}
     claims: frozenset[str] = frozenset({"falls silent"})
+    measured: frozenset[str] = frozenset(f"{name}_{key}" for name in ("a", "b", "shaft") for key in FAULT_KEYS)
 
     def line(self, settings: EncoderBus) -> DeviceLine:
         """See Driver."""
@@ -64,16 +65,16 @@ class Cia406(PlainDriver):
     def checks(
         self, settings: EncoderBus, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
-        """See Driver: emergencies, and reports that are missing."""
+        """See Driver."""
+        from daq.drivers.cia406.status_checks import encoder_checks
+        from daq.drivers.cia406.stream import EncoderPipeline
+
         codes = [self.words(event) for event in events if event.kind == "emergency"]
-        found = [words for words in codes if words]
-        missing = pipeline.losses["reports"]
-        return {
-            "emergencies": DeviceCheck("; ".join(found) or "none", "none", not found),
-            "missing reports": DeviceCheck(
-                missing, 0, missing == 0, "Look at bit rate and termination" * (missing > 0)
-            ),
-        }
+        return (
+            encoder_checks(pipeline, [words for words in codes if words])
+            if isinstance(pipeline, EncoderPipeline)
+            else {}
+        )
 
     def far_end(self, device: str, settings: EncoderBus, world: Any) -> FarEnd:
         """See Driver."""

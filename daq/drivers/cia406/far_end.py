@@ -90,9 +90,17 @@ class SimulatedEncoder:
         """Its objects, which a test may change."""
         return self._sdo.objects
 
+    @property
+    def fixed(self) -> set[tuple[int, int]]:
+        """Objects that it refuses to change, until its next start."""
+        return self._sdo.fixed
+
     def emergency(self, code: int) -> None:
         """Send an emergency with an error code; 0: the error has ended."""
         register = 0x21 if code else 0  # bit 0 generic, bit 5 device profile
+        self.objects[cia301.ERROR_REGISTER, 0] = (register, "<B")
+        self.objects[cia301.PREDEFINED_ERROR_FIELD, 0] = (int(code > 0), "<B")
+        self.objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
         self.out.append(slcan.CanFrame(0x080 + self.node, struct.pack("<HB5x", code, register)))
 
     def _written(self, index: int, sub: int, value: int) -> None:
@@ -238,7 +246,7 @@ class SimulatedEncoders(FarEnd):
             for encoder in self.encoders:
                 encoder.take(frame)
             if self._second_master and frame.arbitration_id == cia301.COB_SYNC:
-                self._foreign += [frame, frame]
+                self._foreign.append(frame)
         return answers + self._take()
 
     def _take(self) -> bytes:
@@ -261,6 +269,9 @@ class SimulatedEncoders(FarEnd):
         if self._without_supply or not self._adapter.open:
             return b""
         foreign, self._foreign = self._foreign, []
+        for frame in foreign:  # they are answered in the next interval
+            for encoder in self.encoders:
+                encoder.take(frame)
         reports = sorted(due, key=lambda entry: (entry[0], entry[1].arbitration_id))
         return b"".join(slcan.encode(frame) for frame in (*(frame for _, frame in reports), *foreign))
 

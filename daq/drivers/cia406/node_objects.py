@@ -22,6 +22,8 @@ def encoder_objects(node: int, serial: int, per_turn: int, positions: int, param
     objects: Objects = {
         (cia301.DEVICE_TYPE, 0): (kind, "<I"),
         (cia301.ERROR_REGISTER, 0): (0, "<B"),
+        (cia301.PREDEFINED_ERROR_FIELD, 0): (0, "<B"),
+        (cia301.PREDEFINED_ERROR_FIELD, 1): (0, "<I"),
         (cia301.SYNC_IDENTIFIER, 0): (cia301.COB_SYNC, "<I"),
         (cia301.PRODUCER_HEARTBEAT, 0): (0, "<H"),
         (cia301.IDENTITY, 1): (0x0000_0D0C, "<I"),
@@ -35,6 +37,8 @@ def encoder_objects(node: int, serial: int, per_turn: int, positions: int, param
         (0x6200, 0): (0, "<H"),
         (0x6501, 0): (per_turn, "<I"),
         (0x6502, 0): (max(1, positions // per_turn), "<H"),
+        (0x6503, 0): (0, "<H"),
+        (0x6505, 0): (0, "<H"),
     }
     for number, kind in ((0, 254), (1, 1)):
         objects[cia301.TPDO1 + number, 1] = (cia301.cob_tpdo(number + 1, node), "<I")

@@ -8,11 +8,14 @@ from typing import Any
 from daq.drivers.can_lines import Adapter, BothWays
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_RESET, NMT_RESET_COMMUNICATION, NmtState, SdoServer
+from daq.drivers.cia406 import wire
 from daq.drivers.cia406.node_objects import encoder_objects
-from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 from daq.drivers.played import PlayedDevice
 from daq.errors import LogError
 from daq.transports import slcan
+
+_OTHER_OBJECT = 0x2000_0000  # entry of a PDO's mapping for a manufacturer-specific object, without its bits
 
 
 class PlayedEncoders(PlayedDevice):
@@ -69,13 +72,23 @@ class _PlayedNode:
         per_turn = settings.counts_per_revolution
         name = encoder.name
         defaults = {"serial": encoder.serial, "positions": per_turn, "counter_clockwise": 0, "maker": 0, "product": 0}
+        defaults |= dict.fromkeys((*FAULT_KEYS, "offset"), 0)
         known = {key: identity.get(f"{name}_{key}", value) for key, value in defaults.items()}
         if not all(type(value) is int and 0 <= value < 2**32 for value in known.values()):
             raise LogError(f"identity of encoder {name}: expected numbers of 32 bits, got {known!r:.200}")
         parameters = 0x4 | (known["counter_clockwise"] & 1)
         objects = encoder_objects(encoder.node, known["serial"], per_turn, known["positions"], parameters)
         objects[cia301.IDENTITY, 1], objects[cia301.IDENTITY, 2] = (known["maker"], "<I"), (known["product"], "<I")
+        register, code, alarms, warnings = (known[key] for key in FAULT_KEYS)
+        objects[cia301.ERROR_REGISTER, 0] = (register & 0xFF, "<B")
+        objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
+        objects[wire.ALARMS, 0], objects[wire.WARNINGS, 0] = (alarms & 0xFFFF, "<H"), (warnings & 0xFFFF, "<H")
         self._sdo = SdoServer(objects, {})
+        if offset := known["offset"]:  # its reports in the log contain something else before the position
+            objects[cia301.TPDO1_MAPPING, 0] = (2, "<B")
+            objects[cia301.TPDO1_MAPPING, 1] = (_OTHER_OBJECT | 8 * offset & 0xFF, "<I")
+            objects[cia301.TPDO1_MAPPING, 2] = (wire.POSITION_MAPPED, "<I")
+            self._sdo.fixed.add((cia301.TPDO1_MAPPING, 0))
 
     def answers(self, frame: slcan.CanFrame) -> list[slcan.CanFrame]:
         """Return the answers to a frame."""

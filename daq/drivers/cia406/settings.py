@@ -16,7 +16,10 @@ Counts = Annotated[int, Field(ge=0, lt=2**31)]
 Positive = Literal["cw", "ccw"]
 
 LATEST_S = 0.1
-"""Latest report after its SYNC, s. The host waits twice as long, so that it is not taken for an answer to the next."""
+"""Latest report after its SYNC, s. The host waits twice as long for the first report; see `SyncSender`."""
+
+FAULT_KEYS = ("error_register", "error_code", "alarms", "warnings")
+"""Keys of an encoder's faults in the identity, after its name: 1001h, newest of 1003h, 6503h, 6505h."""
 
 _SYNC_BITS, _REPORT_BITS = 67, 117  # longest frames of 0 and 4 bytes, with stuffing and the space between frames
 _LINE_BITS = 150  # text of a report: 14 characters and CR, 10 bits each

@@ -18,18 +18,17 @@ from daq.drivers.can_lines import CanLines
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
-from daq.drivers.cia406.node_watch import NodeWatch
+from daq.drivers.cia406.known import offset_of, positions_of, sign_of
+from daq.drivers.cia406.node_watch import FoundFaults, NodeWatch
 from daq.drivers.cia406.reports import Instant, Marks, Turns
-from daq.drivers.cia406.settings import Encoder, EncoderBus
-from daq.drivers.cia406.synchronous import SyncTimes
-from daq.errors import DeviceError
+from daq.drivers.cia406.settings import EncoderBus
+from daq.drivers.cia406.sync_origin import SyncOrigin
+from daq.drivers.cia406.synchronous import SilentEncoders, SyncSchedule, SyncTimes
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
 
 Items = Iterator[Batch | DeviceEvent]
 
-_SILENT = 3  # SYNCs in succession that an encoder has not answered
-_ANY_POSITION = 2**32
 _AGAIN_NS = 1_000_000_000
 
 
@@ -37,7 +36,8 @@ class EncoderPipeline:
     """Decoder of the text of the adapter.
 
     Attributes:
-        losses: see Pipeline. "samples": samples of both angles that are missing; "reports": reports of any encoder that
+        losses: see Pipeline. "samples": samples of both angles that are missing although a SYNC was sent; "unsampled":
+            periods in which this host sent no SYNC; "reports": reports of any encoder that
             are missing; "heartbeats": losses of an encoder's heartbeat; "unasked": reports that answer no SYNC or come
             too late; "invalid": reports that are too short, beyond the encoder's range, or of an encoder that started
             again; "late": SYNCs that left the host late, so that their samples are missing; "foreign_syncs" are SYNCs
@@ -56,16 +56,21 @@ class EncoderPipeline:
     has_reported = True
 
     def __init__(self, device: str, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
-        kinds = ("samples", "reports", "heartbeats", "unasked", "invalid", "late", "foreign_syncs")
+        kinds = ("samples", "unsampled", "reports", "heartbeats", "unasked", "invalid", "late", "foreign_syncs")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self.complaint: str = ""
         self._device, self._settings = device, settings
         self._lines = CanLines(device, self.losses)
         encoders = settings.encoders
-        self._watches = {each.name: NodeWatch(device, each, settings.heartbeat_ms) for each in encoders}
+        self._watches = {
+            each.name: NodeWatch(device, each, settings.heartbeat_ms, FoundFaults.of(each, identity))
+            for each in encoders
+        }
+        self._begun = False
         per_turn = settings.counts_per_revolution
-        self._positions = {each.name: _positions(each, per_turn, identity) for each in encoders}
-        self._turns = {each.name: Turns(per_turn, each.zero_counts, _sign(each, identity)) for each in encoders}
+        self._positions = {each.name: positions_of(each, per_turn, identity) for each in encoders}
+        self._offsets = {each.name: offset_of(each, identity) for each in encoders}
+        self._turns = {each.name: Turns(per_turn, each.zero_counts, sign_of(each, identity)) for each in encoders}
         self._by_frame: dict[int, tuple[str, Callable[[str, slcan.CanFrame, int], Items]]] = {}
         for each in encoders:
             self._by_frame[cia301.cob_tpdo(1, each.node)] = each.name, self._report
@@ -75,7 +80,8 @@ class EncoderPipeline:
         delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
         self._sync = SyncTimes(tuple(self._watches), delay_ns, round(settings.max_lateness_s * 1e9))
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
-        self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
+        self._silent = SilentEncoders()
+        self._refused_before = 0  # lines that the adapter had refused when all encoders had last answered
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
         self._b = NewestOfB()
         self._marks = Marks(per_turn, period_ns)
@@ -83,25 +89,33 @@ class EncoderPipeline:
         self._lost = 0  # samples missing since the last one, with SYNC
         self._next_number: int | None = None  # of the sample after the last one, without SYNC
         self._last_ns, self._period_ns = 0, period_ns
-        self._echoes, self._has_sent = 0, False
-        self._foreign_ns = self._late_ns = -_AGAIN_NS
+        self._origin, self._schedule, self._has_sent = SyncOrigin(), SyncSchedule(period_ns), False
+        self._foreign_ns = self._late_ns = self._pause_ns = -_AGAIN_NS
+        self._paused = 0  # periods without a SYNC since they were last reported
+        self._waiting: dict[str, tuple[int, int]] = {}  # raw positions and host times of encoders, see SyncTimes.holds
+        self._taken = True  # whether the newest SYNC has its sample
         self._asked_ns = 0  # host time of the newest SYNC, whose …
         self._shaft_seen = self._left_late = False  # … report of the shaft has come, and shows that it left late
         self._radian = 2 * math.pi / per_turn
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
+        out: list[Batch | DeviceEvent] = []
+        if not self._begun:
+            self._begun = True
+            out += [event for watch in self._watches.values() for event in watch.opened()]
         if direction == TX:
-            out: list[Batch | DeviceEvent] = []
             for frame in cia301.own_frames(self._lines.sent(data)):
                 if frame.arbitration_id == cia301.COB_SYNC:
-                    self._echoes, self._has_sent = 1, True
+                    self._has_sent = True
+                    self._origin.sent(host_ns)
                     out += self._asked(host_ns)
+                    out += self._pauses(host_ns)
             return out
         if not data:
-            return list(self._end())
+            return [*out, *self._end()]
         frames, events = self._lines.received(data)
-        out = [*events]
+        out += events
         for frame in cia301.own_frames(frames):
             known = self._by_frame.get(frame.arbitration_id)
             if known is not None:
@@ -114,44 +128,90 @@ class EncoderPipeline:
                 out.append(event)
         return out
 
+    @property
+    def faults(self) -> list[str]:
+        """Present faults of the encoders, for the operator."""
+        return [watch.fault for watch in self._watches.values() if watch.fault]
+
+    @property
+    def syncs(self) -> int:
+        """Number of SYNCs so far."""
+        return self._sync.count
+
     # --- SYNC --------------------------------------------------------------------------------------------------
 
     def _sync_of_bus(self, host_ns: int) -> Items:
         """Take a SYNC from the bus: an echo of this host's, of the host to which this session listens, or foreign."""
         if not self._has_sent:
             yield from self._asked(host_ns)
-        elif self._echoes:
-            self._echoes = 0
-        else:
-            self.losses["foreign_syncs"] += 1
-            if host_ns - self._foreign_ns > _AGAIN_NS:
-                self._foreign_ns = host_ns
-                text = "another node sends SYNC: the encoders sample at its instants too. Switch it off (1005h bit 30)"
-                yield DeviceEvent("fault", self._device, text, {"foreign_syncs": self.losses["foreign_syncs"]})
+        elif self._origin.received(host_ns):
+            if self._sync.foreign():
+                self._both, self._waiting = {}, {}
+            yield from self._foreign(host_ns)
+
+    def _foreign(self, host_ns: int) -> Items:
+        """Count the SYNCs of other nodes, and report them once a second."""
+        before, self.losses["foreign_syncs"] = self.losses["foreign_syncs"], self._origin.foreign
+        if self._origin.foreign > before and host_ns - self._foreign_ns > _AGAIN_NS:
+            self._foreign_ns = host_ns
+            text = "another node sends SYNC: the encoders sample at its instants too. Switch it off (1005h bit 30)"
+            yield DeviceEvent("fault", self._device, text, {"foreign_syncs": self._origin.foreign})
 
     def _asked(self, host_ns: int) -> Items:
         if not self._settings.sync:
             return
         yield from self._held()
-        counted, self._left_late = self._left_late, False
-        self._asked_ns, self._shaft_seen = host_ns, False
+        has_sample, self._taken = self._taken or self._left_late, False
+        self._asked_ns, self._shaft_seen, self._left_late = host_ns, False, False
         missing = self._sync.sync(host_ns)
-        self._both = {}
+        self._both, self._waiting = {}, {}
         self.losses["reports"] += len(missing)
-        if not counted and not {"a", "b"}.isdisjoint(missing):
+        if not has_sample:
             self._lost += 1
             self.losses["samples"] += 1
-        for name in self._watches:
-            self._silent[name] = self._silent[name] + 1 if name in missing else 0
-            if self._silent[name] == _SILENT:
-                text = f"{self._watches[name].name} has not answered {_SILENT} SYNCs: it gives no position"
-                yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
-            elif missing == [name] == ["shaft"]:
-                yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+        if not missing:
+            self._refused_before = self.losses["refused_lines"]
+        for name, count in self._silent.sync(missing, host_ns).items():
+            text = f"{self._watches[name].name} has not answered {count} SYNCs: {self._why_silent()}"
+            yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
+        if missing == ["shaft"]:
+            yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+
+    def _why_silent(self) -> str:
+        refused = self.losses["refused_lines"] - self._refused_before
+        if not refused:
+            return "it gives no position"
+        return (
+            f"the adapter has refused {refused} lines since the last answer, so they did not go out. It was reset, or "
+            "no node acknowledges them: look at its supply, the bus and its termination, and open the rig again"
+        )
+
+    def _pauses(self, host_ns: int) -> Items:
+        """Count the periods in which this host has sent no SYNC, and report them once a second."""
+        if not self._settings.sync:
+            return
+        skipped = self._schedule.sent(host_ns)
+        self.losses["unsampled"] += skipped
+        self._paused += skipped
+        if self._paused and host_ns - self._pause_ns > _AGAIN_NS:
+            self._pause_ns = host_ns
+            yield from self._paused_for()
+
+    def _paused_for(self) -> Items:
+        paused, self._paused = self._paused, 0
+        if paused:
+            text = f"{paused} samples not taken: the host waited for answers, or was busy, and sent no SYNC"
+            facts = {"unsampled": paused, "span_s": paused * self._period_ns * 1e-9}
+            yield DeviceEvent("gap", self._device, text, facts)
 
     def _held(self) -> Items:
-        """Take angles that wait for a report of the shaft that has not come."""
-        if len(self._both) == 2 and (instant := self._sync.newest) is not None:
+        """Take positions that wait for another report, and angles that wait for one of the shaft that has not come."""
+        if (instant := self._sync.newest) is None:
+            return
+        waiting, self._waiting = self._waiting, {}
+        for name in sorted(waiting, reverse=True):  # the shaft first: it shows whether the SYNC left late
+            yield from self._answer(name, instant, *waiting[name])
+        if len(self._both) == 2:
             yield from self._both_of(instant)
 
     # --- messages of an encoder --------------------------------------------------------------------------------
@@ -169,10 +229,10 @@ class EncoderPipeline:
         yield from self._watches[name].emergency(frame)
 
     def _report(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
-        raw = wire.position(frame.data)
+        raw = wire.position(frame.data, self._offsets[name])
         wrong = ""
         if raw is None:
-            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES}"
+            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES + self._offsets[name]}"
         elif raw >= self._positions[name]:
             wrong = f"position {raw}, expected less than {self._positions[name]}"
         elif self._watches[name].restarted:
@@ -186,14 +246,35 @@ class EncoderPipeline:
             yield from self._free_running(name, self._turns[name].counts(raw), host_ns)
 
     def _synchronous(self, name: str, raw: int, host_ns: int) -> Items:
+        holds = self._sync.holds(name)
         instant = self._sync.report(name, host_ns)
         if instant is None:
             if not self._sync.begun:
                 return
-            self.losses["unasked"] += 1
-            text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
-            yield DeviceEvent("damage", self._device, text, {"lines": 1})
+            if self._sync.prompt and not self._sync.explains_more:
+                self._origin.doubled()
+                yield from self._foreign(host_ns)
+            yield self._unasked(name)
             return
+        if not holds:
+            self._origin.answered()
+            yield from self._foreign(host_ns)
+        if self._sync.doubtful:
+            return
+        if not holds:
+            yield from self._answer(name, instant, raw, host_ns)
+            return
+        if name in self._waiting:
+            yield self._unasked(name)
+        self._waiting[name] = raw, host_ns
+
+    def _unasked(self, name: str) -> DeviceEvent:
+        self.losses["unasked"] += 1
+        text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
+        return DeviceEvent("damage", self._device, text, {"lines": 1})
+
+    def _answer(self, name: str, instant: Instant, raw: int, host_ns: int) -> Items:
+        """Take the answer of an encoder to the newest SYNC."""
         counts = self._turns[name].counts(raw)
         if name == "shaft":
             lateness_ns = 0 if self._sync.prompt else self._marks.lateness_ns(instant, counts)
@@ -210,7 +291,7 @@ class EncoderPipeline:
 
     def _both_of(self, instant: Instant) -> Items:
         """Take the angles of the newest SYNC."""
-        both, self._both = self._both, {}
+        both, self._both, self._taken = self._both, {}, True
         lost, self._lost = self._lost, 0
         yield from self._sample(instant, both["a"], both["b"], lost)
 
@@ -255,6 +336,7 @@ class EncoderPipeline:
 
     def _end(self) -> Items:
         yield from self._held()
+        yield from self._paused_for()
         if not self._settings.sync:
             for name, timer in self._timers.items():
                 yield from self._timed(name, timer.end())
@@ -291,24 +373,3 @@ class EncoderPipeline:
                 "node_time_us": np.array([own_ns // 1000], np.int64).astype(np.uint64),
             }
             yield Batch(channels.TACHO, np.array([self._mark_ns], np.int64), number, columns)
-
-
-def _positions(encoder: Encoder, per_turn: int, identity: Mapping[str, Any]) -> int:
-    """Return the number of different positions of an encoder; unlimited if it was not queried."""
-    positions = identity.get(f"{encoder.name}_positions", _ANY_POSITION)
-    if (
-        type(positions) is int
-        and 0 < positions <= _ANY_POSITION
-        and (positions == _ANY_POSITION or positions % per_turn == 0)
-    ):
-        return positions
-    raise DeviceError(
-        f"identity of encoder {encoder.name}: expected a number of positions that is a multiple of {per_turn}, got "
-        f"{positions!r:.80}"
-    )
-
-
-def _sign(encoder: Encoder, identity: Mapping[str, Any]) -> int:
-    """Return 1 if positions grow with the angle, also of an encoder that was not queried, otherwise -1."""
-    counter_clockwise = identity.get(f"{encoder.name}_counter_clockwise", encoder.positive == "ccw")
-    return 1 if bool(counter_clockwise) == (encoder.positive == "ccw") else -1

@@ -1,8 +1,10 @@
-"""The host's SYNC: sent periodically, and never before all encoders have answered the one before."""
+"""The host's SYNC: sent periodically, and not before all encoders have answered the one before or are given up."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
@@ -13,13 +15,22 @@ from daq.transports.host_clock import HostClock
 
 _ANSWERED = b"\r"
 _MISSES = 3
+_UNANSWERED_S = 2 * LATEST_S
+_ROUNDS, _MIN_ROUNDS = 31, 8  # newest SYNCs from which the wait follows, and fewest that give one
+_SHARE, _MARGIN = 0.9, 2.0  # the wait is twice that within which the last answer came to 90 % of these
+_LEAST_S = 0.012  # shortest wait for the last answer, s: a busy host reads late by as much
 
 
 class SyncSender(RequestLoop):
-    """See Poller. A SYNC that not all encoders answer delays the next one to twice `LATEST_S`.
+    """See Poller. A SYNC that not all encoders answer delays the next one.
 
-    An encoder that has not answered `_MISSES` times is not waited for until it answers again, so that a dead encoder
-    does not slow down the others.
+    If no encoder answers, the adapter or the host may be late: the next SYNC waits for twice `LATEST_S`, after which no
+    report counts as an answer. If one has answered in time, those of the others are on the same way and come soon:
+    the wait for them begins at the first answer and follows from the newest SYNCs, see `_MARGIN`. One that comes still
+    later makes the next waits longer, and is recognised in the decoding (`SyncTimes`). If the first answer is late by
+    more than `max_lateness_s`, all are waited for as if none had come: the shaft's shows whether the SYNC was late. An
+    encoder that has not answered `_MISSES` times is not waited for until it answers again, so that a
+    dead encoder does not slow down the others.
 
     Args:
         settings: table of the encoders in the rig file.
@@ -30,26 +41,55 @@ class SyncSender(RequestLoop):
     def __init__(self, settings: EncoderBus, send: Callable[[bytes], None], clock: HostClock) -> None:
         self._expected = frozenset(cia301.cob_tpdo(1, encoder.node) for encoder in settings.encoders)
         self._missing: set[int] = set()
+        self._given_up: dict[int, float] = {}  # wall times of the first answers to the SYNCs given up, by encoder, s
         self._misses = dict.fromkeys(self._expected, 0)
         self._lines = slcan.LineDecoder()
         self._write = send
-        request = Request(lambda number: wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, 2 * LATEST_S)
-        super().__init__(request, self._sync, clock)
+        self._first_s: float | None = None  # wall time of the first answer to the newest SYNC
+        self._firsts: deque[float] = deque(maxlen=_ROUNDS)  # from the SYNC to the first answer, s
+        self._waits: deque[float] = deque(maxlen=_ROUNDS)  # from the first answer to the last one, s
+        self._max_lateness_s = settings.max_lateness_s
+        self._unanswered = Request(lambda number: wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, _UNANSWERED_S)
+        super().__init__(self._unanswered, self._sync, clock)
 
     def heard(self, data: bytes) -> None:
         """See Poller."""
-        before = bool(self._missing)
+        before, now_s = bool(self._missing), self._clock.wall_s()
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id in self._expected:
-                self._missing.discard(frame.arbitration_id)
-                self._misses[frame.arbitration_id] = 0
-        if before and not self._missing:
+                self._answer(frame.arbitration_id, now_s)
+        if before and not self._missing and self._first_s is not None:
+            self._waits.append(now_s - self._first_s)
             super().heard(_ANSWERED)
 
+    def _answer(self, identifier: int, now_s: float) -> None:
+        self._misses[identifier] = 0
+        given_up_s = self._given_up.pop(identifier, None)
+        if given_up_s is not None and identifier not in self._missing:  # it has answered both SYNCs: the first one late
+            self._waits.append(min(now_s - given_up_s, _UNANSWERED_S))
+        elif given_up_s is not None:
+            self._given_up[identifier] = given_up_s
+        self._missing.discard(identifier)
+        if self._first_s is None:
+            self._first_s = now_s
+            first_s = now_s - (self._asked_s or now_s)
+            self._firsts.append(first_s)
+            self._request = replace(self._unanswered, answer_s=min(first_s + self._others_s(first_s), _UNANSWERED_S))
+
+    def _others_s(self, first_s: float) -> float:
+        """Return how long the other answers are waited for after the first one, s."""
+        late_s = first_s - sorted(self._firsts)[len(self._firsts) // 2]
+        if len(self._waits) < _MIN_ROUNDS or late_s > self._clock.wall(self._max_lateness_s):
+            return _UNANSWERED_S
+        return max(_MARGIN * sorted(self._waits)[int(_SHARE * len(self._waits))], _LEAST_S)
+
     def _sync(self, data: bytes) -> None:
+        given_up = self._missing if self._first_s is not None else set[int]()
+        self._given_up = dict.fromkeys(given_up, self._first_s or 0.0)
         for identifier in self._missing:
             self._misses[identifier] += 1
         self._missing = {identifier for identifier in self._expected if self._misses[identifier] < _MISSES}
+        self._first_s, self._request = None, self._unanswered
         self._write(data)
 
 

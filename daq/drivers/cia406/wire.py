@@ -21,6 +21,9 @@ CYCLIC_TIMER = 0x6200
 SINGLE_TURN_RESOLUTION, DISTINGUISHABLE_TURNS = 0x6501, 0x6502
 """Physical resolution: counts per revolution, u32; number of revolutions, u16."""
 
+ALARMS, WARNINGS = 0x6503, 0x6505
+"""Present alarms and warnings, u16; see `alarm_words` and `warning_words`. Encoders of class 1 need not have them."""
+
 COUNTER_CLOCKWISE, SCALING = 0x1, 0x4
 """Bits of 6000h: whether positions grow counter-clockwise (seen on the shaft); whether 6001h and 6002h apply."""
 POSITION_MAPPED = POSITION << 16 | 32
@@ -48,11 +51,39 @@ class Scale:
     counter_clockwise: bool
 
 
-def position(data: bytes) -> int | None:
-    """Return the position, counts, in a report whose first object is 6004h; None if it is shorter than 4 bytes."""
-    return None if len(data) < POSITION_BYTES else int(struct.unpack_from("<I", data)[0])
+def position(data: bytes, offset: int = 0) -> int | None:
+    """Return the position, counts, in a report that contains 6004h at a place in bytes; None if it is too short."""
+    end = offset + POSITION_BYTES
+    return None if len(data) < end else int(struct.unpack_from("<I", data, offset)[0])
 
 
 def network_command(command: int, node: int) -> bytes:
     """Return the text of a network command (NMT) for one node."""
     return slcan.encode(slcan.CanFrame(cia301.COB_NMT, bytes((command, node))))
+
+
+_ALARMS = {0: "position error", 1: "commissioning diagnostics"}
+_WARNINGS = {
+    0: "speed too high",
+    1: "reserve of the light source used up",
+    2: "watchdog",
+    3: "operating time exceeded",
+    4: "battery low",
+    5: "reference point not reached",
+}
+
+
+def alarm_words(bits: int) -> str:
+    """Return alarms (6503h) with their meanings."""
+    return _bit_words(bits, _ALARMS)
+
+
+def warning_words(bits: int) -> str:
+    """Return warnings (6505h) with their meanings."""
+    return _bit_words(bits, _WARNINGS)
+
+
+def _bit_words(bits: int, words: dict[int, str]) -> str:
+    maker = "manufacturer-specific"
+    found = [words.get(bit, maker if bit >= 12 else "reserved") for bit in range(16) if bits >> bit & 1]
+    return f"{bits:04X}h ({', '.join(dict.fromkeys(found))})"
