@@ -202,14 +202,14 @@ def test_reads_of_a_full_buffer_do_not_change_the_clock() -> None:
     for number in range(200):
         made.feed(RX, answer(0x8000 + number, [40000, 41000] * 40), START + (number + 1) * 10_000_000)
     at, scans, late_ns = START + 2 * S + 2_400_000_000, 8000, [0]
-    for number in range(200, 240):
+    for number in range(200, 280):
         at += 2_000_000
-        items = made.feed(RX, answer(0x8000 + number, [40000, 41000] * 100, 400 * (239 - number), 2940), at)
+        items = made.feed(RX, answer(0x8000 + number, [40000, 41000] * 100, 400 * (279 - number), 2940), at)
         scans += 100
         late_ns.append(int(batches(items, "laser/x")[0].time_ns[-1]) - START - scans * 250_000)
     lost = round((at - START) / 250_000) - scans
     samples = [0xFFFF] * 2 + [40000, 41000] * 20
-    items = made.feed(RX, answer(0x8000 + 240, samples, 0, 2941, lost), at + 20 * 250_000)
+    items = made.feed(RX, answer(0x8000 + 280, samples, 0, 2941, lost), at + 20 * 250_000)
     assert [event.kind for event in events(items)] == ["gap"]
     late_ns.append(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - (scans + lost + 20) * 250_000)
     assert max(map(abs, late_ns)) < 1e5
