@@ -100,6 +100,9 @@ class Session:
             self._command = RotorCommand(self._core, self._known, self.send, self.clock, self.check)
             links.read()
             links.start_streams()
+            for name, identity in self.identities.items():
+                if text := identity.get("warning"):
+                    self._execute(self._core.warn(f"{name}: {text}"))
             if self._command.drive is not None and self._command.drive_name not in links.refused:
                 self._commanded = True
                 with links.refusing(self._command.drive_name, DeviceError, LinkLost):

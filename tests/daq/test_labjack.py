@@ -442,6 +442,10 @@ def test_a_blank_flash_gives_nominal_constants_and_a_note() -> None:
         bench.begin()
     assert bench.identity["AIN0_zero"] == 33523.0
     assert bench.identity["constants"].startswith("nominal for AIN0, AIN1, AIN2: the constants")
+    assert "AIN0, AIN1, AIN2 are nominal" in bench.identity["warning"]
+    for identity, passed in ((bench.identity, False), ({"constants": "from its flash"}, True)):
+        check = DRIVER.checks(bench.settings, DRIVER.pipeline("lab", bench.settings, identity), None, [])["scales"]
+        assert (check.passed, bool(check.note)) == (passed, not passed)
 
 
 class Fixed(SimulatedLabJack):
@@ -463,6 +467,10 @@ class Fixed(SimulatedLabJack):
         ({60000: struct.pack(">f", 4.0)}, {"lasers": {"a": {"axis": "x", "input": "AIN4"}}}, "T4"),
         ({60000: b""}, {"lasers": LASERS}, "expected product"),
         ({60028: None}, {"lasers": LASERS}, "refuses"),
+        ({60000: struct.pack(">f", 4.0)}, {"lasers": LASERS, "tacho": {"input": "FIO3"}}, "no FIO3"),
+        ({60028: None, 55000: struct.pack(">H", 2605)}, {"lasers": LASERS}, "which another program owns"),
+        ({60028: None, 55000: struct.pack(">H", 2608)}, {"lasers": LASERS}, "Lower scan_rate_Hz"),
+        ({60028: None, 55000: struct.pack(">H", 9999)}, {"lasers": LASERS}, "error 9999, look it up"),
         ({4002: struct.pack(">f", 3000.0)}, {"lasers": LASERS}, "3000"),
     ],
 )
@@ -591,13 +599,21 @@ input = "AIN2"
 """
 
 
-def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Path) -> None:
-    """The node measures the angles alone. Marks and displacements have one clock, fitted to the displacements."""
-    file = tmp_path / "rig.toml"
+OWN = ["virtual.seed=4", "devices.encoder.index_marks=false"]
+
+
+def rig_file(folder: Path) -> Path:
+    """Write the rig file of a rig that is turned by hand, with a LabJack in place of its lasers."""
+    file = folder / "rig.toml"
     usual = (resources.files("rig_configs") / "by_hand.toml").read_text()
     before, after = usual.index("[devices.laser_x]"), usual.index("[devices.encoder]")
     file.write_text(usual[:before] + RIG + usual[after:])
-    own = ["virtual.seed=4", "devices.encoder.index_marks=false"]
+    return file
+
+
+def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Path) -> None:
+    """The node measures the angles alone. Marks and displacements have one clock, fitted to the displacements."""
+    file, own = rig_file(tmp_path), OWN
     sim = LockstepRig(load_rig(file, settings=own))
     session = Session(load_rig(file, settings=[*own, *sim.port_settings()]), sim.clock, edge=sim.edge)
     sim.ask("turn", rpm=200.0, ramp_rpm_per_s=400.0)

@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from daq.acquisition.session import Session
 from daq.drivers.labjack import wire
+from daq.drivers.labjack.far_end import SimulatedLabJack, _Refused
 from daq.items import RX, TX, DeviceEvent
-from tests.daq.test_labjack import LASERS, START, S, answer, batches, events, numbers, pipeline
+from daq.lockstep.rig import LockstepRig
+from daq.log import open_log
+from daq.replay import check
+from rig_configs import load_rig
+from tests.daq.test_labjack import (
+    LASERS,
+    OWN,
+    START,
+    S,
+    answer,
+    batches,
+    bench_of,
+    events,
+    numbers,
+    pipeline,
+    rig_file,
+)
 
 OTHER = {"quantity": "acceleration_m_per_s2", "per_V": 10.0}
 REFUSAL = bytes.fromhex("8000 0000 0003 01 cc 04")
@@ -144,6 +164,30 @@ def test_the_error_of_a_refused_read_is_explained(code: int, kind: str, words: s
     assert not made.feed(RX, detail, START)
 
 
+class OneRefusal(SimulatedLabJack):
+    """A device that refuses its first stream read after the opening, but continues its stream."""
+
+    refuses: ClassVar[bool] = True
+
+    def _read(self, address: int, count: int) -> bytes:
+        if address == 4500 and type(self).refuses:
+            type(self).refuses = False
+            raise _Refused(4, 2501)
+        return super()._read(address, count)
+
+
+def test_the_host_reads_the_error_of_a_refused_read_and_continues() -> None:
+    bench, far = bench_of()
+    with bench.running():
+        bench.begin()
+        far.__class__ = type("Own", (OneRefusal,), {})
+        bench.time.pass_time(1.0)
+    assert [event.kind for event in events(bench.items) if event.kind != "reply"] == ["refused", "refused"]
+    assert "error 2501" in events(bench.items, "refused")[1].text
+    assert bench.pipeline.losses == {"samples": 0, "bytes": 0, "refused": 1, "invalid": 0}
+    assert numbers(bench.items)[-1] > 3800
+
+
 # --- a stream that is started again -----------------------------------------------------------------------------------
 
 
@@ -191,6 +235,32 @@ def test_answers_before_the_new_start_belong_to_the_old_stream() -> None:
     assert not events(made.feed(RX, answer(0x8001, [40000, 41000] * 40), START + 10_000_000))
     made.feed(RX, wire.encode(wire.Message(9, wire.REFUSED, b"\x04")), START + 15_000_000)
     assert not events(made.feed(RX, answer(0x8002, [40000, 41000] * 40), START + 20_000_000))
+
+
+def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_path: Path) -> None:
+    """The dialogue ends the stream while the session would poll it. The log continues, with the scans of the outage."""
+    sim = LockstepRig(load_rig(rig_file(tmp_path), settings=OWN))
+    session = Session(load_rig(rig_file(tmp_path), settings=[*OWN, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(1.0)
+        sim.ask("fail", device="lab", what="deaf", value=1, seconds=3.0)
+        end = sim.clock.wall_s() + 8.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    log = tmp_path / "a.mcap"
+    assert [row.topic for row in check(log) if row.difference] == []
+    with open_log(log) as opened:
+        found = opened["laser/x"]
+        (gap,) = [event for event in opened.events if (event["kind"], event["device"]) == ("gap", "lab")]
+        assert "started again" in gap["text"]
+        steps = np.diff(found.time_ns) * 1e-9
+        assert gap["samples"] == int(np.max(np.diff(found.sequence.astype(np.int64)))) - 1
+        assert gap["samples"] / 4000.0 == pytest.approx(float(np.max(steps)), abs=0.01)
+        assert float(np.max(steps)) > 2.0
+        assert (opened.end_ns - found.time_ns[-1]) * 1e-9 < 0.2
 
 
 # --- the clock --------------------------------------------------------------------------------------------------------

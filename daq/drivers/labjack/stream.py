@@ -45,6 +45,7 @@ class LabJackPipeline:
         losses: see Pipeline. "samples": scans that the device skipped, scans of missing answers and scans before a new
             start of the stream (both estimated); "bytes": skipped; "refused": stream reads that the device refused;
             "invalid": voltages beyond the output of a displacement sensor, or above the range of its input.
+        warning: text of the device's identity about nominal scales; empty if all are those of its flash.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class LabJackPipeline:
     ) -> None:
         self.losses: dict[str, int] = dict.fromkeys(("samples", "bytes", "refused", "invalid"), 0)
         self._device, self._settings, self._channels = device, settings, of_topic
+        self.warning = str(identity.get("warning", ""))
         rate = identity.get("scan_rate_Hz")
         self._period_ns = 1e9 / (rate if isinstance(rate, float) and rate > 0 else settings.scan_rate_Hz)
         model = str(identity.get("model", "T7"))
