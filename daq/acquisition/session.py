@@ -407,6 +407,11 @@ class Session:
         return sum(self._core.bytes_in.values())
 
     @property
+    def unheard(self) -> list[str]:
+        """Devices from which no byte was received."""
+        return [name for name, count in self._core.bytes_in.items() if not count]
+
+    @property
     def silent_s(self) -> float:
         """Time since any device sent bytes, wall s."""
         return self.clock.wall_s() - self._open.heard_s()
