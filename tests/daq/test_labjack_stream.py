@@ -11,7 +11,7 @@ import pytest
 
 from daq.acquisition.session import Session
 from daq.drivers.labjack import wire
-from daq.drivers.labjack.far_end import SimulatedLabJack, _Refused
+from daq.drivers.labjack.far_end import SimulatedLabJack
 from daq.items import RX, TX, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
@@ -172,8 +172,8 @@ class OneRefusal(SimulatedLabJack):
     def _read(self, address: int, count: int) -> bytes:
         if address == 4500 and type(self).refuses:
             type(self).refuses = False
-            raise _Refused(4, 2501)
-        return super()._read(address, count)
+            return super()._read(1, count)  # no such register
+        return struct.pack(">H", 2501) if address == 55000 else super()._read(address, count)
 
 
 def test_the_host_reads_the_error_of_a_refused_read_and_continues() -> None:
