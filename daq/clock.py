@@ -24,8 +24,8 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 4
-_IN_ORDER_RULES, _STEP_RULES = 3, 4
+FIRST_RULES, NEWEST_RULES = 1, 5
+_IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
@@ -151,8 +151,11 @@ class ClockMap:
             From 3 on: samples that are older than earlier samples do not change the map. From 4 on: a step of the
             host's clock (a computer that slept, a clock that was set) starts the estimate again. After a step forward
             the mapped time jumps; after a step back it runs at half its rate until it is right, since it never steps
-            back.
+            back. From 5 on (AGE_RULES): reads of a LabJack whose samples have an unknown age do not change the map.
         seed: earlier state of the clock. Without it the first read is assumed to have no delay.
+
+    Attributes:
+        step_ns: step of the host's clock against the device's that the newest read has shown, ns; 0 without one.
     """
 
     def __init__(self, tolerance_ppm: float, rules: int = NEWEST_RULES, seed: ClockSeed | None = None) -> None:
@@ -173,14 +176,17 @@ class ClockMap:
         self._correction = 0.0  # part of the slope that applies for the next `_correct_ns` only
         self._line: tuple[float, float] | None = None
         self._started = self._seeded = False
+        self.step_ns: int = 0
 
-    def map(self, device_ns: NDArray[np.int64], host_ns: int) -> NDArray[np.int64]:
+    def map(self, device_ns: NDArray[np.int64], host_ns: int, *, learn: bool = True) -> NDArray[np.int64]:
         """Return the common times of the samples of one read, ns, and update the map with the read.
 
         Args:
             device_ns: shape (n,), n ≥ 1, ascending device time of the samples.
             host_ns: time at which the read returned; it belongs to the last sample.
+            learn: whether the read updates the map; False if the age of its samples is unknown.
         """
+        self.step_ns = 0
         if not self._started:
             self._device0, self._host0 = int(device_ns[-1]), host_ns
             self._started = True
@@ -191,7 +197,7 @@ class ClockMap:
         if ahead[-1] > self._correct_ns:  # a gap
             lag -= self._correction * np.maximum(ahead - self._correct_ns, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
-        if relative[-1] >= self._at or not self._in_order:
+        if learn and (relative[-1] >= self._at or not self._in_order):
             self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
 
@@ -265,6 +271,7 @@ class ClockMap:
         """
         late = lag - self._target(device)[0]
         if late < -_EARLY_STEP_NS and late < -_EARLY_STDS * self._line_std_ns:
+            self.step_ns = round(late) if self._reads >= _STEP_READS else 0  # else the first reads were late
             self._begin_again([])
         if late < _LEAST_JITTER_NS + _LATE_SHARE * self._lateness:
             self._late.clear()
@@ -280,6 +287,7 @@ class ClockMap:
         least = [entry[2] for entry in closed]
         step = min(least) - self._target(device)[0]
         if step > _LATE_STEP_NS and max(least) - min(least) < _STEP_SPREAD * step:
+            self.step_ns = round(step)
             self._begin_again(closed)
             ahead = device - self._at
             self._lag += max(0.0, self._target(device)[0] - self._lag - self._slope * ahead)

@@ -39,7 +39,8 @@ def record(session: Session, path: str | Path, seconds: float, metadata: Mapping
     """Record all devices of an open rig for a fixed time.
 
     A device that is unplugged while the rotor is at rest does not end the recording: its loss is counted, and its port
-    is opened again when it returns. While the rotor turns, an interlock stops the rotor and ends the recording.
+    is opened again when it returns. The loss of the last device that is left ends it. While the rotor turns, an
+    interlock stops the rotor and ends the recording.
 
     Args:
         session: from `open_rig`.

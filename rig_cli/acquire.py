@@ -104,6 +104,11 @@ def _with_taps(session: Session, devices: dict[str, Checks]) -> dict[str, Checks
     return {name: checks | found.get(name, {}) for name, checks in devices.items()}
 
 
+_WHILE_LISTENING = (
+    ". A device that answers only on request sends nothing to a program that only receives: record without --listen"
+)
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class RecordingOptions:
@@ -158,13 +163,16 @@ def record(
             with RecordingStatus(session) as status:
                 ended = _record_until(session, status, recording.duration, recording.until_silent)
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
+            unheard = [f"{device}: no byte was received{_WHILE_LISTENING * listen}" for device in session.unheard]
             path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
-        warnings = [*session.notices, *([f"wrong rates: {rates}"] if rates else [])]
+        warnings = [*session.notices, *unheard, *([f"wrong rates: {rates}"] if rates else [])]
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
     else:
         notify(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        for text in unheard:
+            notify(f"warning: {text}")
         if rates:
             notify(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
         if slow_s:

@@ -306,7 +306,7 @@ class Core:
             yield StopRotor()
             self.interlocks.commanded(0.0)
         elif first and self.commanding and self.interlocks.turning(now_ns):
-            yield Warn(f"STOP THE ROTOR: {error}")
+            yield Warn(f"STOP THE ROTOR: {str(error).removesuffix(f'; {self._stopped}')}")
         if first:
             self._end = Note(DeviceEvent("stop", HOST, str(error)), now_ns)
             yield self._end

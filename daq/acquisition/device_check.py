@@ -34,6 +34,7 @@ _MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, o
 _MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at 1200 rpm
 _CLOCK_S = 5.0  # observation that is necessary for it; a shorter one is less certain
 _MIN_SPECTRUM = 256  # samples for a level of noise
+_MAX_ORDER, _ORDER_TOLERANCE = 10, 0.02  # of the rotor's speed; deviation of a line from an order, of its frequency
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ class RigObservation:
         unopened: reasons why devices are not open, by device.
         by_radio: devices that send their samples by radio.
         complaints: contradictions between what devices report of themselves and the rig file, by device.
+        rotor_rpm: speed of the rotor; NaN if unknown.
     """
 
     seconds: float
@@ -116,6 +118,7 @@ class RigObservation:
     unopened: Mapping[str, str] = field(default_factory=dict[str, str])
     complaints: Mapping[str, str] = field(default_factory=dict[str, str])
     by_radio: frozenset[str] = frozenset()
+    rotor_rpm: float = math.nan
 
 
 def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
@@ -125,7 +128,7 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     lasers = (*roles.displacements, *roles.witnesses)
     for sensor in lasers:
         found = _rate_checks(look, sensor.topic, sensor.rate_Hz)
-        found |= _displacement(sensor, rig.limits, look.displacements[sensor.topic])
+        found |= _displacement(sensor, rig.limits, look.displacements[sensor.topic], look.rotor_rpm)
         several = sum(other.device == sensor.device for other in lasers) > 1
         out[sensor.device] |= {f"{sensor.axis} {name}": check for name, check in found.items()} if several else found
     if roles.angles is not None and look.angles is not None:
@@ -184,7 +187,7 @@ def _rate_checks(look: RigObservation, topic: str, nominal_Hz: float) -> Checks:
     }
 
 
-def _displacement(sensor: DisplacementSensor, limits: Limits, seen: ObservedDisplacement) -> Checks:
+def _displacement(sensor: DisplacementSensor, limits: Limits, seen: ObservedDisplacement, rotor_rpm: float) -> Checks:
     x = seen.value_m
     if not len(x):
         return {"samples": DeviceCheck(0, "some", False, "no samples received")}
@@ -200,11 +203,14 @@ def _displacement(sensor: DisplacementSensor, limits: Limits, seen: ObservedDisp
     note = "" if ok else "move the sensor: limits.amplitude_m exceeds its range at this position"
     out["from_mid_range_mm"] = DeviceCheck(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
     out["peak_to_peak_mm"] = DeviceCheck(round(float(np.nanmax(x) - np.nanmin(x)) * 1e3, 4), None, True)
-    return out | _noise(sensor, seen)
+    return out | _noise(sensor, seen, rotor_rpm)
 
 
-def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement) -> Checks:
-    """Check the noise of the readings: its white part, and steady lines. Slow motion of the column is neither."""
+def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement, rotor_rpm: float) -> Checks:
+    """Check the noise of the readings: its white part, and steady lines.
+
+    Slow motion of the column is neither, and orders of a rotor that turns are no disturbance.
+    """
     good = np.isfinite(seen.value_m)
     time, reading = seen.time_s[good], seen.value_m[good] * sensor.lever_ratio
     if len(time) < _MIN_SPECTRUM or time[-1] <= time[0]:
@@ -213,15 +219,28 @@ def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement) -> Checks:
     quiet = noise_um <= most_um
     note = "" if quiet else "look at supply, shield, surface and exposure"
     out = {"noise_um": DeviceCheck(float(f"{noise_um:.2g}"), f"at most {most_um:.3g} rms", quiet, note)}
-    lines = lines_in(time, reading, thinned(time, reading))
+    found = lines_in(time, reading, thinned(time, reading))
+    lines = [line for line in found if not _is_order(line.frequency_Hz, rotor_rpm)]
+    orders = f"the rotor turns at {rotor_rpm:.0f} rpm: its orders are left out" if len(lines) < len(found) else ""
     least_um = _MAX_LINE_SHARE * sensor.range_m * 1e6
     strong = [line for line in lines if line.amplitude_m * 1e6 > least_um]
     advice = "look at the supply, its earth and the shield of the cable, and at machines that shake the floor"
     worst_um = max((line.amplitude_m * 1e6 for line in lines), default=0.0)
     out["steady_lines_um"] = DeviceCheck(
-        round(worst_um, 1), f"at most {least_um:.3g}", not strong, f"{_words_of(strong)}. {advice}" if strong else ""
+        round(worst_um, 1),
+        f"at most {least_um:.3g}",
+        not strong,
+        ". ".join(filter(None, [f"{_words_of(strong)}. {advice}" if strong else "", orders])),
     )
     return out
+
+
+def _is_order(frequency_Hz: float, rotor_rpm: float) -> bool:
+    """Return whether a frequency is a low order of the rotor's speed; NaN for an unknown speed."""
+    if not abs(rotor_rpm) > 0:
+        return False
+    order = frequency_Hz * 60.0 / abs(rotor_rpm)
+    return 1 <= round(order) <= _MAX_ORDER and abs(order - round(order)) <= _ORDER_TOLERANCE * order
 
 
 def _words_of(lines: Sequence[SteadyLine]) -> str:

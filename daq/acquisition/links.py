@@ -294,6 +294,27 @@ class Links:
             return
 
     def _set_up_again(self, name: str, command: RotorCommand) -> None:
+        """Open a device again. Its poller pauses meanwhile, since the dialogue ends what the requests expect.
+
+        The pipeline continues. It derives a new start of the stream from the bytes of the dialogue, as in a replay.
+        After a dialogue that failed with answers, the state of the device is unknown: it is not polled, so that it is
+        silent and opened again.
+        """
+        poller, reader = self._pollers.get(name), self._readers[name]
+        if poller is None:
+            self._open_again(name, command)
+            return
+        poller.stop()
+        heard = reader.bytes_in
+        try:
+            self._open_again(name, command)
+        except DeviceError:
+            if reader.bytes_in == heard:
+                poller.start()
+            raise
+        poller.start()
+
+    def _open_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})

@@ -67,6 +67,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         by_radio=frozenset(
             name for name, each in devices_of(session.rig.devices).items() if isinstance(each.driver, SendsByRadio)
         ),
+        rotor_rpm=session.rotor_rpm(),
     )
 
 

@@ -100,6 +100,9 @@ class Session:
             self._command = RotorCommand(self._core, self._known, self.send, self.clock, self.check)
             links.read()
             links.start_streams()
+            for name, identity in self.identities.items():
+                if text := identity.get("warning"):
+                    self._execute(self._core.warn(f"{name}: {text}"))
             if self._command.drive is not None and self._command.drive_name not in links.refused:
                 self._commanded = True
                 with links.refusing(self._command.drive_name, DeviceError, LinkLost):
@@ -402,6 +405,11 @@ class Session:
     def bytes_in(self) -> int:
         """Number of bytes received from all devices."""
         return sum(self._core.bytes_in.values())
+
+    @property
+    def unheard(self) -> list[str]:
+        """Devices from which no byte was received."""
+        return [name for name, count in self._core.bytes_in.items() if not count]
 
     @property
     def silent_s(self) -> float:

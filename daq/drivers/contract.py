@@ -278,7 +278,8 @@ class Driver(Protocol):
         """Query the device's identity, set the device up and start its stream.
 
         Returns:
-            Identity as strings and numbers: everything that the pipeline needs in addition to the settings.
+            Identity as strings and numbers: everything that the pipeline needs in addition to the settings. Its entry
+            `warning`, if present, is shown to the operator.
 
         Raises:
             DeviceError: the device does not answer, refuses a command, or differs from the rig file.
@@ -500,7 +501,7 @@ class Poller(Protocol):
     """Sends the requests of an open device that answers only on request."""
 
     def start(self) -> None:
-        """Begin to send requests, after the device was opened."""
+        """Begin to send requests, after the device was opened, and again after it was opened again."""
         ...
 
     def heard(self, data: bytes) -> None:
@@ -508,7 +509,7 @@ class Poller(Protocol):
         ...
 
     def stop(self) -> None:
-        """End the requests, before the device is stopped."""
+        """End the requests, before the device is stopped or opened again."""
         ...
 
 

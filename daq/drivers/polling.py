@@ -56,6 +56,7 @@ class RequestLoop:
     def start(self) -> None:
         """See Poller."""
         self.stop()
+        self._asked_s, self._echo = None, b""  # a request before a pause is not answered any more
         self._due_s = self._clock.wall_s()
         beat_s = max(_LEAST_BEAT_S, self._clock.wall(self._request.period_s) / _BEATS)
         self._repeated = self._clock.every(beat_s, self._beat, "polls", self._failed)

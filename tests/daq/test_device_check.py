@@ -194,6 +194,18 @@ def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, dev
     assert [name for name, checks in devices.items() if not passed(checks)] == [device]
 
 
+@pytest.mark.parametrize(
+    ("hertz", "rpm", "passes"),
+    [(10.0, 600.0, True), (20.1, 600.0, True), (50.0, 600.0, True), (13.0, 600.0, False), (10.0, math.nan, False)],
+)
+def test_orders_of_a_rotor_that_turns_are_no_disturbance(hertz: float, rpm: float, passes: bool) -> None:
+    line = 4e-6 * NOISE + 1e-3 * np.sin(2 * np.pi * hertz * np.arange(32_000) / 4000.0)
+    seen = changed(healthy(), "displacements", {**healthy().displacements, "laser/y": displaced(line)})
+    check = changed(seen, "rotor_rpm", rpm).judged()["laser_y"]["steady_lines_um"]
+    assert check.passed == passes
+    assert ("600 rpm" in check.note) == passes
+
+
 def test_a_fault_by_the_lost_heartbeat_of_a_host_passes_and_is_reported() -> None:
     beat = Drive(cia402.FAULT, cia301.HEARTBEAT_ERROR)
     state = changed(healthy(), "drive", beat).judged()["drive"]["state"]

@@ -252,13 +252,6 @@ def test_skipped_scans_advance_the_count_at_the_separator(counts: bool, lost: in
     assert sorted({*steps.tolist()}) == [25, 25 * (lost + 1)]
 
 
-def test_a_separator_without_its_status_is_damage_and_no_sample() -> None:
-    made = pipeline()
-    items = made.feed(RX, answer(0x8000, [40000, 41000, 0xFFFF, 0xFFFF, 40000, 41000]), START)
-    assert [event.kind for event in events(items)] == ["damage"]
-    assert numbers(items) == [0, 1]
-
-
 def test_more_skipped_scans_than_the_device_counts_are_estimated() -> None:
     made = pipeline()
     made.feed(RX, answer(0x8000, [40000, 41000] * 10), START)
@@ -290,14 +283,6 @@ def test_a_stream_that_stops_is_a_fault(status: int, words: str) -> None:
     assert str(status) in fault.text
 
 
-def test_a_refused_read_is_a_fault_once_and_counted_each_time() -> None:
-    made = pipeline()
-    refusal = bytes.fromhex("8000 0000 0003 01 cc 04")
-    found = [event for _ in range(3) for event in events(made.feed(RX, refusal, START))]
-    assert [event.kind for event in found] == ["fault"]
-    assert made.losses["refused"] == 3
-
-
 def test_missing_answers_are_estimated_and_the_clock_begins_again() -> None:
     made = pipeline()
     made.feed(RX, answer(0x8000, [40000, 41000] * 40), START)
@@ -321,7 +306,7 @@ def test_a_late_answer_is_no_loss() -> None:
 
 def test_an_answer_may_end_within_a_scan() -> None:
     made = pipeline()
-    items = made.feed(RX, answer(0x8000, [40000, 41000, 40001], padding=20), START)
+    items = made.feed(RX, answer(0x8000, [40000, 41000, 40001], 2, padding=20), START)
     items += made.feed(RX, answer(0x8001, [41001]), START + 250_000)
     codes = [batch.columns["code"].tolist() for topic in ("laser/x", "laser/y") for batch in batches(items, topic)]
     assert codes == [[40000], [40001], [41000], [41001]]
@@ -457,6 +442,11 @@ def test_a_blank_flash_gives_nominal_constants_and_a_note() -> None:
         bench.begin()
     assert bench.identity["AIN0_zero"] == 33523.0
     assert bench.identity["constants"].startswith("nominal for AIN0, AIN1, AIN2: the constants")
+    assert "AIN0, AIN1, AIN2 are nominal" in bench.identity["warning"]
+    for identity, passed in ((bench.identity, False), ({"constants": "from its flash"}, True)):
+        own = settings(tacho={"input": "AIN2"})
+        check = DRIVER.checks(own, DRIVER.pipeline("lab", own, identity), None, [])["scales"]
+        assert (check.passed, bool(check.note)) == (passed, not passed)
 
 
 class Fixed(SimulatedLabJack):
@@ -478,6 +468,10 @@ class Fixed(SimulatedLabJack):
         ({60000: struct.pack(">f", 4.0)}, {"lasers": {"a": {"axis": "x", "input": "AIN4"}}}, "T4"),
         ({60000: b""}, {"lasers": LASERS}, "expected product"),
         ({60028: None}, {"lasers": LASERS}, "refuses"),
+        ({60000: struct.pack(">f", 4.0)}, {"lasers": LASERS, "tacho": {"input": "FIO3"}}, "no FIO3"),
+        ({60028: None, 55000: struct.pack(">H", 2605)}, {"lasers": LASERS}, "which another program owns"),
+        ({60028: None, 55000: struct.pack(">H", 2608)}, {"lasers": LASERS}, "Lower scan_rate_Hz"),
+        ({60028: None, 55000: struct.pack(">H", 9999)}, {"lasers": LASERS}, "error 9999, look it up"),
         ({4002: struct.pack(">f", 3000.0)}, {"lasers": LASERS}, "3000"),
     ],
 )
@@ -606,13 +600,21 @@ input = "AIN2"
 """
 
 
-def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Path) -> None:
-    """The node measures the angles alone. Marks and displacements have one clock, fitted to the displacements."""
-    file = tmp_path / "rig.toml"
+OWN = ["virtual.seed=4", "devices.encoder.index_marks=false"]
+
+
+def rig_file(folder: Path) -> Path:
+    """Write the rig file of a rig that is turned by hand, with a LabJack in place of its lasers."""
+    file = folder / "rig.toml"
     usual = (resources.files("rig_configs") / "by_hand.toml").read_text()
     before, after = usual.index("[devices.laser_x]"), usual.index("[devices.encoder]")
     file.write_text(usual[:before] + RIG + usual[after:])
-    own = ["virtual.seed=4", "devices.encoder.index_marks=false"]
+    return file
+
+
+def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Path) -> None:
+    """The node measures the angles alone. Marks and displacements have one clock, fitted to the displacements."""
+    file, own = rig_file(tmp_path), OWN
     sim = LockstepRig(load_rig(file, settings=own))
     session = Session(load_rig(file, settings=[*own, *sim.port_settings()]), sim.clock, edge=sim.edge)
     sim.ask("turn", rpm=200.0, ramp_rpm_per_s=400.0)

@@ -98,3 +98,16 @@ def test_a_laser_whose_words_are_stored_is_decoded_by_them(tmp_path):
             path = session.stop_recording({})
         with open_log(path) as log:
             assert log["laser/x"].displacement_m.tolist() == expected.tolist()
+
+
+def test_devices_from_which_no_byte_was_received_are_named(tmp_path):
+    """A device that answers only on request sends nothing to a session that only receives."""
+    with cables("tcp") as (wires, rig):
+        session = Session(rig, HostClock())
+        with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
+            for wire in wires.values():
+                wire.descriptor()
+            wires["encoder"].send(b"x")
+            session.wait_for(lambda: _arrived(session, wires) == 1, 10, "the byte")
+            assert session.unheard == ["laser_x", "laser_y", "drive"]
+            session.stop_recording({})

@@ -13,7 +13,7 @@ from daq.drivers.labjack import wire
 from daq.drivers.labjack.identity import IDENTITY_READS, MODELS, parse_identity
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.stream import BUFFER_BYTES
-from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, VoltScale, nominal, read_constants
+from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, T4_MISSING_LINES, VoltScale, nominal, read_constants
 from daq.drivers.labjack.wire import Register
 from daq.errors import DeviceError
 
@@ -27,7 +27,7 @@ class RequestRefused(DeviceError):
     """The device refused a request; `code` is the value of its register LAST_ERROR, 0 if it did not state it."""
 
     def __init__(self, code: int) -> None:
-        super().__init__(f"error {code}")
+        super().__init__(wire.explain(code))
         self.code = code
 
 
@@ -101,6 +101,11 @@ def identify(device: str, settings: LabJack, commands: Commands) -> dict[str, An
             "device is at this address"
         )
     if model == "T4":
+        if settings.tacho is not None and settings.tacho.input in T4_MISSING_LINES:
+            raise DeviceError(
+                f"{place}: it is a T4, whose terminals have no {settings.tacho.input} (they are AIN0 … AIN3), expected "
+                "a tachometer at FIO4 … FIO7 or EIO0 … EIO7"
+            )
         wrong = [name for name, range_V in settings.ranges_V.items() if name not in T4_INPUTS or range_V != 10.0]
         if wrong:
             raise DeviceError(
@@ -141,6 +146,11 @@ def constants(settings: LabJack, model: str, commands: Commands) -> dict[str, An
         facts |= (scale or nominal(model, settings.ranges_V[name])).facts(name)
     lacking = sorted(name for name, scale in found.items() if scale is None)
     facts["constants"] = f"nominal for {', '.join(lacking)}: {reason}" if lacking else "from its flash"
+    if lacking:
+        facts["warning"] = (
+            f"the scales of {', '.join(lacking)} are nominal ({reason}): voltages can be wrong by 1 %. Have the "
+            "device's own calibration restored, or calibrate the sensors at these inputs"
+        )
     return facts
 
 
@@ -200,8 +210,7 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
         identity["scan_rate_Hz"] = start_stream(settings, identity["model"], commands)
     except RequestRefused as refusal:
         raise DeviceError(
-            f"{device} on {settings.port}: it refuses to be set up with {refusal}: check the inputs and scan_rate_Hz "
-            f"of devices.{device}"
+            f"{device} on {settings.port} (devices.{device}): it refuses to be set up: {refusal}"
         ) from refusal
     return identity
 

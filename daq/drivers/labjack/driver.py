@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.contract import DeviceLine, Pipeline, Poller, SampleClock, Talk
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import DeviceLine, Pipeline, Poller, SampleClock, SpeedControl, Talk
 from daq.drivers.identification import Announcement
 from daq.drivers.labjack.settings import LabJack, other_topic
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -77,13 +79,22 @@ class LabJackDriver(PlainDriver):
         return LabJackPipeline(device, settings, {c.topic: c for c in self.channels(settings)}, identity)
 
     def poller(self, settings: LabJack, send: Callable[[bytes], None], clock: HostClock) -> Poller:
-        """See AnswersOnRequest: reads of the stream."""
+        """See AnswersOnRequest: reads of the stream, and of the errors of refused ones."""
         from daq.drivers.labjack import wire
         from daq.drivers.labjack.dialogue import ANSWER_S
+        from daq.drivers.labjack.poller import StreamReads
         from daq.drivers.polling import Request, RequestLoop
 
         read = partial(wire.stream_request, inputs=len(settings.scan_list))
-        return RequestLoop(Request(read, b"", settings.read_period_s, ANSWER_S), send, clock)
+        return StreamReads(RequestLoop(Request(read, b"", settings.read_period_s, ANSWER_S), send, clock), send)
+
+    def checks(
+        self, settings: LabJack, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
+        """See Driver: the origin of the inputs' scales."""
+        warning = str(getattr(pipeline, "warning", ""))
+        own = "from its flash"
+        return {"scales": DeviceCheck("nominal" if warning else own, own, not warning, warning)}
 
     def far_end(self, device: str, settings: LabJack, world: Any) -> FarEnd:
         """See Driver."""

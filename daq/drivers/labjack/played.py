@@ -59,10 +59,10 @@ class PlayedLabJack(PlayedDevice):
         self._open = True
 
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. Stream reads are not answered: their answers are those of the log."""
+        """See PlayedDevice. Stream reads, and reads of their errors, are not answered: the log has their answers."""
         out = b""
         for message in wire.MessageDecoder().feed(data).messages:
-            if message.number >= wire.FIRST_STREAM_ID:
+            if message.number >= wire.ERROR_NUMBER:
                 continue
             self.commands += 1
             out += wire.encode(wire.Message(message.number, wire.FEEDBACK, self._carry_out(message.body)))

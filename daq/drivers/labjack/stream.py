@@ -1,13 +1,14 @@
 """Pipeline of a LabJack: answers to stream reads to displacements, index marks and other quantities.
 
 The stream has no times: scans are counted. A scan's time is its number times the scan period on the device's clock,
-mapped to the common clock. Scans that the device reports as skipped advance the count. An answer that is missing (the
-connection was lost, and the stream began again) has an unknown number of scans: it is estimated from the host's time.
+mapped to the common clock. Scans that the device reports as skipped advance the count. Answers that are missing, and a
+stream that the host started again, leave an unknown number of scans out: it is estimated from the host's time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.channels import Channel
-from daq.clock import ClockMap, clock_rules
+from daq.clock import AGE_RULES, ClockMap, clock_rules
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
+from daq.drivers.labjack.scans import Counts, ScanCutter
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.volts import VoltScale, nominal
 from daq.items import TX, Batch, DeviceEvent
@@ -27,19 +29,23 @@ BUFFER_BYTES = 32_768
 """Size of the device's buffer; it must be a power of 2."""
 _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
+_MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
+_STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
+_ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
+
 Items = list[Batch | DeviceEvent]
-Counts = NDArray[np.uint16]
 
 
 class LabJackPipeline:
     """Decoder of one device's answers.
 
     Attributes:
-        losses: see Pipeline. "samples": scans that the device skipped, and scans of missing answers (estimated);
-            "bytes": skipped; "refused": stream reads that the device refused; "invalid": voltages beyond the output of
-            a displacement sensor.
+        losses: see Pipeline. "samples": scans that the device skipped, scans of missing answers and scans before a new
+            start of the stream (both estimated); "bytes": skipped; "refused": stream reads that the device refused;
+            "invalid": voltages beyond the output of a displacement sensor, or above the range of its input.
+        warning: text of the device's identity about nominal scales; empty if all are those of its flash.
     """
 
     def __init__(
@@ -47,6 +53,7 @@ class LabJackPipeline:
     ) -> None:
         self.losses: dict[str, int] = dict.fromkeys(("samples", "bytes", "refused", "invalid"), 0)
         self._device, self._settings, self._channels = device, settings, of_topic
+        self.warning = str(identity.get("warning", ""))
         rate = identity.get("scan_rate_Hz")
         self._period_ns = 1e9 / (rate if isinstance(rate, float) and rate > 0 else settings.scan_rate_Hz)
         model = str(identity.get("model", "T7"))
@@ -58,8 +65,14 @@ class LabJackPipeline:
         self._decoder = wire.MessageDecoder()
         self._rules = clock_rules(identity)
         self._clock = self._new_clock()
+        self._has_learned = False  # whether the clock's map has seen a read whose age is known
+        self._skips = False  # whether scans are being skipped: the age of samples is unknown
         self._next = 0  # number of the next scan
-        self._rest: Counts = np.empty(0, np.uint16)  # samples of a scan whose others have not arrived
+        self._cutter = ScanCutter(self._inputs)
+        self._ended: wire.StreamRead | None = None  # answer with the status of a separator that is not complete
+        self._start: tuple[int, int] | None = None  # number and host time of a start command without an answer
+        self._started_ns: int | None = None  # host time of the start of a stream of which no scan has been read
+        self._refusals = 0  # in a row
         self._number: int | None = None  # transaction number of the newest stream read
         self._newest: tuple[int, int] | None = None  # its host time, and its backlog in scans
         self._scan_ns: int | None = None  # time of the newest scan
@@ -71,6 +84,8 @@ class LabJackPipeline:
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         if direction == TX:
+            number = wire.start_number(data)
+            self._start = self._start if number is None else (number, host_ns)
             return []
         found = self._decoder.feed(data)
         out: Items = []
@@ -79,7 +94,10 @@ class LabJackPipeline:
             text = f"{found.skipped_bytes} bytes skipped that do not belong to a message"
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         for message in found.messages:
-            if message.number < wire.FIRST_STREAM_ID:
+            if message.number == wire.ERROR_NUMBER:
+                out += self._explained(message)
+            elif message.number < wire.FIRST_STREAM_ID:
+                self._note_start(message)
                 text = wire.encode(message).hex()
                 out.append(DeviceEvent("reply", self._device, text))
             elif message.function == wire.REFUSED:
@@ -88,12 +106,35 @@ class LabJackPipeline:
                 out += self._stream(message, host_ns)
         return out
 
+    def _note_start(self, message: wire.Message) -> None:
+        """Note the answer to the command that starts the stream: the next stream read is the first of a new stream."""
+        if self._start is None or self._start[0] != message.number:
+            return
+        if message.function == wire.FEEDBACK:
+            self._started_ns = self._start[1]
+            self._cutter.begin()
+        self._start = None
+
     def _refused(self, message: wire.Message) -> Items:
+        """Count a refused read. One of them has no consequence: its scans are read with the next answer."""
         self.losses["refused"] += 1
         self._number = message.number
+        self._refusals += 1
         code = message.body[0] if message.body else 0
-        text = f"it refuses to be read (exception {code}): its stream has stopped"
-        return self._reported("refused", True, "fault", text)
+        text = f"it refuses to be read (exception {code})"
+        out = self._reported("refuses", True, "refused", text, exception=code)
+        text = f"it refuses to be read: {_MOST_REFUSED} times in a row (exception {code})"
+        return [*out, *self._reported("refused", self._refusals >= _MOST_REFUSED, "fault", text)]
+
+    def _explained(self, message: wire.Message) -> Items:
+        """Return the event about the error of a refused read; see `poller.StreamReads`."""
+        if message.function != wire.FEEDBACK or len(message.body) != 2 or not self._refusals:
+            return []
+        code = int.from_bytes(message.body, "big")
+        text = f"it refuses to be read: {wire.explain(code)}"
+        if code == wire.Status.STREAM_NOT_RUNNING:
+            return self._reported("refused", True, "fault", text, error=code)
+        return self._reported("explained", True, "refused", text, error=code)
 
     def _reported(self, condition: str, holds: bool, kind: str, text: str, **facts: int) -> Items:
         """Return an event about a condition when it begins."""
@@ -107,30 +148,54 @@ class LabJackPipeline:
             self.losses["bytes"] += len(message.body)
             text = f"the answer to a stream read has {len(message.body)} bytes, fewer than it states"
             return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
-        out = self._missing_answers(message.number, read, host_ns)
+        out, scans = self._next_scans(message.number, read, host_ns)
+        out += self._state(read)
+        if scans is None:
+            return out
+        ended, self._ended = self._ended or (read if read.status in _ENDED else None), None
+        sent_ns = host_ns - round(read.backlog_bytes // (2 * self._inputs) * self._period_ns)
+        self._skips |= read.status == wire.Status.RECOVERING
+        if ended is not None:
+            self._skips = True
+            empty = np.flatnonzero(_have_no_value(scans))
+            if len(empty) or not self._cutter.begins_without_value:
+                at = int(empty[0]) if len(empty) else 0
+                out += self._scans(scans[:at], sent_ns)
+                self._skips = False
+                waiting = len(scans) - at + read.backlog_bytes // (2 * self._inputs)
+                out += self._skipped(ended, host_ns, waiting)
+                scans = scans[at + bool(len(empty)) :]
+            else:  # the rest of the separator comes with the next answer
+                self._ended = ended
+        out += self._scans(scans, sent_ns)
+        self._newest = host_ns, read.backlog_bytes // (2 * self._inputs)
+        return out
+
+    def _next_scans(self, number: int, read: wire.StreamRead, host_ns: int) -> tuple[Items, Counts | None]:
+        """Return the events about scans missing before an answer, and its scans; None if their start is unknown."""
+        missing = self._started_ns is None and self._are_missing(number)
+        if missing:
+            self._cutter.lose()
+            self._ended = None
+        scans = self._cutter.cut(read.samples, read.backlog_bytes // 2)
+        if scans is None:
+            return [], None
+        self._number = number
+        if self._started_ns is not None:
+            return self._started_again(self._started_ns, read, host_ns), scans
+        return self._missing_answers(read, host_ns) if missing else [], scans
+
+    def _state(self, read: wire.StreamRead) -> Items:
+        """Return the events about the state of the stream."""
         overlap = read.status == wire.Status.SCAN_OVERLAP
         why = (
             "a scan began before the previous one had ended. Lower scan_rate_Hz" if overlap else "the stream has ended"
         )
         text = f"status {read.status} of the stream: {why}"
-        out += self._reported("stopped", read.status not in _GOOD, "fault", text, status=read.status)
-        out += self._reported("refused", False, "", "")
-        out += self._buffer(read)
-        ended = read.status in (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
-        samples = np.concatenate([self._rest, read.samples])
-        whole = len(samples) // self._inputs
-        self._rest = samples[whole * self._inputs :]
-        scans = samples[: whole * self._inputs].reshape(whole, self._inputs)
-        sent_ns = host_ns - round(read.backlog_bytes // (2 * self._inputs) * self._period_ns)
-        separators = np.flatnonzero(scans[:, 0] == wire.SEPARATOR)
-        if ended or len(separators):
-            at = int(separators[0]) if len(separators) else 0
-            out += self._scans(scans[:at], sent_ns)
-            out += self._skipped(read, host_ns, len(scans) - at) if ended else self._separator()
-            scans = scans[at:][scans[at:, 0] != wire.SEPARATOR]
-        out += self._scans(scans, sent_ns)
-        self._newest = host_ns, read.backlog_bytes // (2 * self._inputs)
-        return out
+        out = self._reported("stopped", read.status not in _GOOD, "fault", text, status=read.status)
+        self._refusals = 0
+        self._standing -= {"refused", "refuses", "explained"}
+        return [*out, *self._buffer(read)]
 
     def _buffer(self, read: wire.StreamRead) -> Items:
         """Return the events of a buffer that fills, and of one that was full."""
@@ -144,27 +209,47 @@ class LabJackPipeline:
 
     # --- lost scans ----------------------------------------------------------------------------------------------
 
-    def _missing_answers(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
+    def _are_missing(self, number: int) -> bool:
+        """Return whether answers are missing before one of the present stream."""
+        if self._number is None or self._newest is None:
+            return False
+        return (number - self._number) % wire.FIRST_STREAM_ID != 1
+
+    def _missing_answers(self, read: wire.StreamRead, host_ns: int) -> Items:
         """Return the event about answers missing before this one; the number of their scans is estimated.
 
         The scans that a device with a full buffer skips are not among them: it will report their number.
         """
-        before, self._number = self._number, number
-        if before is None or self._newest is None or (number - before) % wire.FIRST_STREAM_ID == 1:
-            return []
-        then_ns, waited = self._newest
-        came = (len(read.samples) + read.backlog_bytes // 2) // self._inputs - waited
-        lost = round((host_ns - then_ns) / self._period_ns) - came
-        self._rest = self._rest[:0]
+        then_ns, waited = self._newest or (host_ns, 0)
+        lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
         if lost <= 0 or read.status == wire.Status.RECOVERING:
             return []
         return [self._lost(lost, f"about {lost} scans lost: answers are missing", uncertain_samples=lost)]
 
-    def _skipped(self, read: wire.StreamRead, host_ns: int, after: int) -> Items:
+    def _started_again(self, started_ns: int, read: wire.StreamRead, host_ns: int) -> Items:
+        """Return the event about a new stream. Its first answer gives the number of scans lost before it (estimated).
+
+        The start of the first stream of a log loses nothing.
+        """
+        self._started_ns, self._skips, self._ended = None, False, None
+        if self._scan_ns is None:
+            return []
+        first_ns = host_ns - round(self._scans_of(read) * self._period_ns)
+        if read.status == wire.Status.RECOVERING or first_ns < started_ns:
+            first_ns = started_ns
+        lost = max(0, round((first_ns - self._scan_ns) / self._period_ns) - 1)
+        text = f"its stream was started again: about {lost} scans lost ({lost * self._period_ns * 1e-6:.0f} ms)"
+        return [self._lost(lost, text, uncertain_samples=lost)]
+
+    def _scans_of(self, read: wire.StreamRead) -> int:
+        """Return the number of scans that an answer has, and that wait behind it."""
+        return (len(read.samples) + read.backlog_bytes // 2) // self._inputs
+
+    def _skipped(self, read: wire.StreamRead, host_ns: int, waiting: int) -> Items:
         """Return the event about scans that the device skipped because its buffer was full.
 
         Args:
-            after: number of scans of this answer from the separator on.
+            waiting: number of scans from the separator on.
         """
         if read.status == wire.Status.RECOVERED:
             lost = read.info + (not self._settings.separator_counts)
@@ -172,22 +257,15 @@ class LabJackPipeline:
             self._advance(lost)
             facts = {"samples": lost, "span_s": lost * self._period_ns * 1e-9}
             return [DeviceEvent("gap", self._device, text, facts)]
-        waiting = after + read.backlog_bytes // (2 * self._inputs)
         behind_ns = 0.0 if self._scan_ns is None else host_ns - self._scan_ns - waiting * self._period_ns
         lost = max(0, round(behind_ns / self._period_ns))
         return [
             self._lost(lost, f"about {lost} scans skipped by the device: more than it counts", uncertain_samples=lost)
         ]
 
-    def _separator(self) -> Items:
-        """A separator without its status: the stream is damaged. Edges are not found across it."""
-        if self._marks is not None:
-            self._marks.scans_lost()
-        return [DeviceEvent("damage", self._device, "a separator in the stream, without the number of skipped scans")]
-
     def _lost(self, lost: int, text: str, **facts: int) -> DeviceEvent:
         self._advance(lost)
-        self._clock = self._new_clock()
+        self._clock, self._has_learned = self._new_clock(), False
         span = lost * self._period_ns * 1e-9
         return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, **facts})
 
@@ -206,16 +284,15 @@ class LabJackPipeline:
         number = np.arange(self._next, self._next + len(scans))
         self._next += len(scans)
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
-        time_ns = self._clock.map(device_ns, sent_ns)
-        self._scan_ns = int(time_ns[-1])
+        out, time_ns = self._times(device_ns, sent_ns)
         column = dict(zip(self._settings.ranges_V, range(self._inputs), strict=False))
         volts = {name: self._scales[name].volts(scans[:, place]) for name, place in column.items()}
+        over = {name: scans[:, place] == wire.NO_VALUE for name, place in column.items()}
         sequence = number.astype(np.uint32)
-        out: Items = []
         for laser in self._settings.lasers.values():
             values = volts[laser.input]
             share = (values - laser.near_V) / (laser.far_V - laser.near_V) - 0.5
-            share[np.abs(share) > _MOST_SHARE] = np.nan
+            share[(np.abs(share) > _MOST_SHARE) | over[laser.input]] = np.nan
             self.losses["invalid"] += int(np.count_nonzero(np.isnan(share)))
             columns: dict[str, NDArray[Any]] = {
                 "displacement_m": share * laser.range_m / laser.lever_ratio,
@@ -228,9 +305,47 @@ class LabJackPipeline:
         for name, other in self._settings.others.items():
             channel = self._channels[f"analogue/{name}"]
             value = (volts[other.input] - other.zero_V) * other.per_V
+            value[over[other.input]] = np.nan
             out.append(Batch(channel, time_ns, sequence, {other.quantity: value, "scan": sequence}))
+        return [*out, *self._index_marks(scans, volts, number, time_ns)]
+
+    def _times(self, device_ns: NDArray[np.int64], sent_ns: int) -> tuple[Items, NDArray[np.int64]]:
+        """Return the times of scans on the common clock, and the event about a step of the clock."""
+        learn = not self._skips or self._rules < AGE_RULES
+        if learn and not self._has_learned:  # times until here had no known age
+            self._clock, self._has_learned = self._new_clock(), True
+        time_ns = self._clock.map(device_ns, sent_ns, learn=learn)
+        self._scan_ns = int(time_ns[-1])
+        step_ns = self._clock.step_ns
+        if abs(step_ns) < _STEP_NS:
+            return [], time_ns
+        scans = round(step_ns / self._period_ns)
+        text = f"its scans arrive {step_ns * 1e-6:.0f} ms later than before: the clock of the host was set"
+        if scans > 0:
+            text += f", or about {scans} scans are missing without a report (another program reads the stream)"
+        facts = {"step_s": step_ns * 1e-9, "scans": scans}
+        return [DeviceEvent("clock", self._device, text, facts)], time_ns
+
+    def _index_marks(
+        self, scans: Counts, volts: Mapping[str, NDArray[np.float64]], number: NDArray[np.int64], time_ns: NDArray[Any]
+    ) -> Items:
+        """Return the index marks. Scans without any value have no state of the tachometer: no edge is found there."""
+        empty = _have_no_value(scans) if self._inputs > 1 else np.zeros(len(scans), np.bool_)
+        text = "scans without a value at any input (FFFFh), and no number of skipped scans"
+        out = self._reported("empty", bool(empty.any()), "damage", text, samples=int(np.count_nonzero(empty)))
         tacho = self._settings.tacho
         if tacho is None or self._marks is None:
             return out
         signal = scans[:, -1] if tacho.is_digital else volts[tacho.input]
-        return [*out, *self._marks.feed(signal, number, time_ns)]
+        edges = [0, *(np.flatnonzero(np.diff(empty)) + 1).tolist(), len(scans)]
+        for start, end in pairwise(edges):
+            if empty[start]:
+                self._marks.scans_lost()
+            else:
+                out += self._marks.feed(signal[start:end], number[start:end], time_ns[start:end])
+        return out
+
+
+def _have_no_value(scans: Counts) -> NDArray[np.bool_]:
+    """Return for each scan whether it has no value at any input, like the scan that stands for skipped ones."""
+    return np.all(scans == wire.NO_VALUE, axis=1)

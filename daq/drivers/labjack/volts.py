@@ -24,6 +24,8 @@ CONSTANTS_BYTES = {"T7": _T7_BYTES, "T4": _T4_BYTES}
 """Size of the constants in the flash by model, bytes."""
 T4_INPUTS = ("AIN0", "AIN1", "AIN2", "AIN3")
 """Inputs of a T4 for ±10 V. Its other inputs are for 0 to 2.5 V and shared with digital lines: not supported."""
+T4_MISSING_LINES = ("FIO0", "FIO1", "FIO2", "FIO3")
+"""Digital lines of a T7 that a T4 does not have: AIN0 … AIN3 are in their place."""
 _MOST_V_PER_COUNT = 0.01
 
 

@@ -21,9 +21,12 @@ STATE_REGISTERS = 4
 """Registers before the samples of a stream read: number of samples, backlog in bytes, status, information."""
 FIRST_STREAM_ID = 0x8000
 """Transaction numbers of stream reads; smaller ones belong to the opening dialogue."""
-SEPARATOR = 0xFFFF
-"""First sample of the scan that stands for skipped ones. No input that this driver reads has this value."""
+ERROR_NUMBER = 0x7FFF
+"""Transaction number of the read of LAST_ERROR after a refused stream read."""
+NO_VALUE = 0xFFFF
+"""Sample of an input above its range. The scan that stands for skipped ones has it at all inputs."""
 _HEADER = struct.Struct(">HHHBB")
+_PART = struct.Struct(">BHB")
 _WRITE, _READ = 1, 0
 _UNIT = 1
 _ANSWER_FUNCTIONS = (FEEDBACK, REFUSED)
@@ -74,6 +77,22 @@ class Status(IntEnum):
     RECOVERED_TOO_MANY = 2943
 
 
+_ERRORS = {
+    Status.STREAM_IS_ACTIVE: "a stream runs, which another program owns. End that program, or restart the device",
+    2607: "an input cannot be streamed. Correct the inputs in the rig file",
+    2608: "the scan rate is too high. Lower scan_rate_Hz, or connect fewer inputs",
+    Status.STREAM_NOT_RUNNING: "no stream runs: another program ended it, or the device has lost its power",
+}
+
+
+def explain(error: int) -> str:
+    """Return the meaning of an error of the device with its number; 0 if the device states none."""
+    if not error:
+        return "it states no error"
+    meaning = _ERRORS.get(error, "look it up in the maker's list of errors")
+    return f"error {error}, {meaning}"
+
+
 @dataclass(frozen=True)
 class Message:
     """One message.
@@ -91,10 +110,15 @@ class Message:
 
 @dataclass
 class DecodedMessages:
-    """Messages of one read, and the number of bytes between them that belong to none."""
+    """Messages of one read, and the number of bytes between them that belong to none.
+
+    Attributes:
+        before_bytes: bytes before the first message of all, at most those of one message: a log may begin within one.
+    """
 
     messages: list[Message] = field(default_factory=list[Message])
     skipped_bytes: int = 0
+    before_bytes: int = 0
 
 
 def encode(message: Message) -> bytes:
@@ -105,12 +129,12 @@ def encode(message: Message) -> bytes:
 
 def write(register: int, data: bytes) -> bytes:
     """Return the part of a feedback request that writes registers, two bytes each."""
-    return struct.pack(">BHB", _WRITE, register, len(data) // 2) + data
+    return _PART.pack(_WRITE, register, len(data) // 2) + data
 
 
 def read(register: int, count: int) -> bytes:
     """Return the part of a feedback request that reads registers."""
-    return struct.pack(">BHB", _READ, register, count)
+    return _PART.pack(_READ, register, count)
 
 
 def request(number: int, parts: Sequence[bytes]) -> bytes:
@@ -132,6 +156,21 @@ def stream_request(count: int, inputs: int) -> bytes:
     """Return a stream read from its count and the number of inputs in the scan list."""
     registers = STATE_REGISTERS + samples_per_read(inputs)
     return request(stream_number(count), [read(Register.STREAM_DATA, registers)])
+
+
+def start_number(data: bytes) -> int | None:
+    """Return the transaction number of a request that starts the stream; None for all other bytes of the host."""
+    for message in MessageDecoder().feed(data).messages:
+        body, at = message.body, 0
+        while message.number < FIRST_STREAM_ID and at + _PART.size <= len(body):
+            kind, register, count = _PART.unpack_from(body, at)
+            at += _PART.size
+            if kind == _READ:
+                continue
+            if register == Register.STREAM_ENABLE and any(body[at : at + 2 * count]):
+                return message.number
+            at += 2 * count
+    return None
 
 
 @dataclass(frozen=True)
@@ -167,6 +206,7 @@ class MessageDecoder:
 
     def __init__(self) -> None:
         self._rest = b""
+        self._before = 6 + _LONGEST_BYTES  # bytes that may precede the first message
 
     def feed(self, data: bytes) -> DecodedMessages:
         """Decode the next bytes."""
@@ -176,12 +216,17 @@ class MessageDecoder:
             known = protocol == 0 and unit == _UNIT and function in _ANSWER_FUNCTIONS
             if not known or not 2 <= length <= _LONGEST_BYTES:
                 at += 1
-                found.skipped_bytes += 1
+                if self._before:
+                    self._before -= 1
+                    found.before_bytes += 1
+                else:
+                    found.skipped_bytes += 1
                 continue
             end = at + 6 + length
             if end > len(stream):
                 break
             found.messages.append(Message(number, function, stream[at + _HEADER.size : end]))
+            self._before = 0
             at = end
         self._rest = stream[at:]
         return found
