@@ -85,6 +85,7 @@ def main() -> None:
     rooms = tomllib.loads((ROOT / "benchmarks/mutants.toml").read_text(encoding="utf-8"))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--room", choices=sorted(rooms), action="append")
+    parser.add_argument("--module", default="", help="only modules whose path contains this text")
     parser.add_argument("--count", type=int, default=60, help="mutants drawn from each room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
@@ -97,9 +98,8 @@ def main() -> None:
     recorded = outcomes(options.out)
     done = {key for key, outcome in recorded.items() if not (options.again and outcome == "survived")}
     for room in options.room or sorted(rooms):
-        drawn = [
-            m for m in sample(room, rooms[room]["modules"], options.count, options.seed) if m.key not in equivalent
-        ]
+        modules = [name for name in modules_of(rooms[room]["modules"]) if options.module in name]
+        drawn = [m for m in sample(room, modules, options.count, options.seed) if m.key not in equivalent]
         to_run = [m for m in drawn if m.key not in done]
         with options.out.open("a", encoding="utf-8") as kept:
             for verdict in run(to_run, rooms[room]["tests"], rooms[room].get("nearest", {}), options.jobs):
@@ -130,14 +130,17 @@ def summary(room: str, keys: set[str], results: Path) -> str:
     return f"{room}: {killed} of {len(found)} mutants detected ({100 * killed / max(len(found), 1):.1f} %)"
 
 
-def sample(room: str, patterns: list[str], count: int, seed: int) -> list[Mutant]:
-    """Draw mutants of a room's modules, one for each drawn place in the code."""
+def modules_of(patterns: list[str]) -> list[str]:
+    """Paths of the modules that glob patterns select, from the project's root."""
+    return [path.relative_to(ROOT).as_posix() for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+
+
+def sample(room: str, modules: list[str], count: int, seed: int) -> list[Mutant]:
+    """Draw mutants of some modules of a room, one for each drawn place in the code."""
     places = defaultdict[tuple[str, int, int, str], list[tuple[str, int]]](list)
-    for pattern in patterns:
-        for path in sorted(ROOT.glob(pattern)):
-            for operator, occurrence, line, column in mutations(path):
-                family = operator.split("_")[0]
-                places[(path.relative_to(ROOT).as_posix(), line, column, family)].append((operator, occurrence))
+    for module in modules:
+        for operator, occurrence, line, column in mutations(ROOT / module):
+            places[(module, line, column, operator.split("_")[0])].append((operator, occurrence))
     # each place has its own random numbers: a larger count continues a smaller one
     drawn = sorted(places, key=lambda place: random.Random(f"{room} {seed} {place}").random())[:count]
     variants = [random.Random(f"{seed} {place}").choice(places[place]) for place in drawn]
