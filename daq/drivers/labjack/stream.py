@@ -53,7 +53,7 @@ class LabJackPipeline:
     ) -> None:
         self.losses: dict[str, int] = dict.fromkeys(("samples", "bytes", "refused", "invalid"), 0)
         self._device, self._settings, self._channels = device, settings, of_topic
-        self.warning = str(identity.get("warning", ""))
+        self.warning: str = str(identity.get("warning", ""))
         rate = identity.get("scan_rate_Hz")
         self._period_ns = 1e9 / (rate if isinstance(rate, float) and rate > 0 else settings.scan_rate_Hz)
         model = str(identity.get("model", "T7"))
