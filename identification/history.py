@@ -77,9 +77,7 @@ def parameter_history(paths: Sequence[Path], rig: str | None = None) -> History:
                 raise
             skipped.append(str(fault))
     if not instants:
-        raise NotIdentifiable(
-            f"{', '.join(map(str, paths))}: no parameters file found. Identify logs and save the parameters"
-        )
+        raise NotIdentifiable(f"{', '.join(map(str, paths))}: no parameters file found. `rig identify` writes one")
     rigs = sorted({i.rig for i in instants if i.rig})
     if rig is None and len(rigs) > 1:
         raise ParametersFileError(f"these files are of several rigs: {', '.join(rigs)}. Choose one of them")
@@ -95,7 +93,7 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         if path.suffix == ".mcap":
             raise ParametersFileError(
-                f"{path}: expected a parameters file, got a log. Identify it, and give the file of its parameters"
+                f"{path}: expected a parameters file, got a log. `rig identify` finds its parameters: give the file that it writes"
             )
         for file in sorted(path.rglob("*.toml")) if path.is_dir() else [path]:
             found.setdefault(file.resolve(), file)
