@@ -93,7 +93,8 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     for path in paths:
         if path.suffix == ".mcap":
             raise ParametersFileError(
-                f"{path}: expected a parameters file, got a log. `rig identify` finds its parameters: give the file that it writes"
+                f"{path}: expected a parameters file, got a log. `rig identify` finds its parameters: "
+                "give the file that it writes"
             )
         for file in sorted(path.rglob("*.toml")) if path.is_dir() else [path]:
             found.setdefault(file.resolve(), file)
