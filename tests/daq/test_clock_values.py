@@ -564,3 +564,12 @@ def test_a_read_with_newer_and_older_samples_is_learned() -> None:
     clock = in_time(100)
     clock.map(np.array([DEVICE0_NS + 985 * MS, DEVICE0_NS + 995 * MS]), START_NS + 995 * MS - 3 * MS)
     assert clock.std_ns > 1e6  # an early read: the correction is in progress
+
+
+def test_a_map_states_the_step_that_its_newest_read_has_shown() -> None:
+    clock = in_time(100)
+    assert clock.step_ns == 0
+    mapped(clock, 1000.0, -5.0)
+    assert clock.step_ns == -5 * MS
+    mapped(clock, 1010.0, -5.0)
+    assert clock.step_ns == 0

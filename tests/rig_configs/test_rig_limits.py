@@ -472,6 +472,23 @@ def test_identified_effects_are_part_of_the_rig_s_physics() -> None:
     assert parameters(slow_roll=SlowRoll(1e-6j, 0j, 0j, np.zeros((6, 6)))).with_effects(bowed) == bowed
 
 
+def test_an_identified_drag_below_zero_is_no_drag_of_the_rig() -> None:
+    drag = Drag(np.array([4e-7, -1e-7]), np.zeros((2, 2)))
+    rig = load_rig("virtual", parameters(provenance=drag.table))
+    assert (rig.pendulums.a.drag_Nms2_per_rad2, rig.pendulums.b.drag_Nms2_per_rad2) == (4e-7, 0.0)
+
+
+def test_numbers_that_no_equation_takes_are_refused_in_the_file_and_in_the_truth() -> None:
+    raw = parse_toml((resources.files("rig_configs") / "virtual.toml").read_text(encoding="utf-8"), "a.toml")
+    del raw["virtual"]
+    assert validate(raw, "a.toml").virtual is None
+    apply_setting(raw, "suspension.k1_N_per_m", 1e-300, "a.toml")
+    with pytest.raises(RigFileError, match="k1_N_per_m must lie in"):
+        validate(raw, "a.toml")
+    with pytest.raises(RigFileError, match="k1_N_per_m must lie in"):
+        load_rig("virtual", settings={"virtual.truth.suspension.k1_N_per_m": 1e-300})
+
+
 def test_the_own_covariance_is_without_the_shared_errors_and_never_indefinite() -> None:
     shift = np.array([1.0, 5e-5])
     shared = parameters(covariance=np.diag([3.0, 1e-8]) + np.outer(shift, shift), shared={GAIN_X: shift})
