@@ -233,7 +233,10 @@ def test_the_speed_of_a_plateau_is_that_of_its_last_quarter() -> None:
         assert plateau_start(times, phase, 0.0, 99.0) == times[2 if late else 0]
     times, phase = spun(*[1 / 1.02] * 25, *[1.0] * 3)  # the last seven of 28: their median is 1.02
     assert plateau_start(times, phase, 0.0, 99.0) == times[-1]
+    times, phase = spun(1 / 1.12, *[1 / 1.02] * 23, *[1.0] * 4)  # the last seven: 1, and the last eight 1.01
+    assert plateau_start(times, phase, 0.0, 99.0) == 0.0
     assert plateau_start(*spun(0.1, 0.1), 0.0, 0.25) == 0.0
+    assert plateau_start(*spun(0.1, 0.1, 0.2), 0.0, 0.45) == 0.0  # the last one of three
 
 
 def before_release(a_deg: float, b_deg: float, at: tuple[float, float] = (0.0, 0.0), moved_deg: float = 0.0) -> Run:
