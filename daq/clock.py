@@ -151,7 +151,7 @@ class ClockMap:
             From 3 on: samples that are older than earlier samples do not change the map. From 4 on: a step of the
             host's clock (a computer that slept, a clock that was set) starts the estimate again. After a step forward
             the mapped time jumps; after a step back it runs at half its rate until it is right, since it never steps
-            back. From 5 on (AGE_RULES): reads of a LabJack whose samples have an unknown age do not change the map.
+            back. From 5 on (AGE_RULES): reads whose samples have an unknown age do not change the map.
         seed: earlier state of the clock. Without it the first read is assumed to have no delay.
 
     Attributes:
