@@ -13,7 +13,7 @@ from analysis.quantities.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
-from daq.signals.settling import RotorSignals, Settling, SettlingLimits, settled
+from daq.signals.settling import DISPLACEMENTS_S, RotorSignals, Settling, SettlingLimits, settled
 from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
@@ -257,7 +257,7 @@ def _locked(run: Run) -> tuple[bool, Array]:
 
 def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
     """Judge the end of the run; for pendulums released at rest the release time is not used as a resting place."""
-    late = end - 40.0  # long enough for any window; the locked part shows whether the gap has changed
+    late = end - DISPLACEMENTS_S  # the locked part shows whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.session import Session
-from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
+from daq.signals.settling import DISPLACEMENTS_S, RotorSignals, Settling, SettlingLimits, locked_settled, settled
 from daq.signals.window_means import whole_revolutions
 from rig_basics.arrays import Array
 
@@ -131,7 +131,7 @@ class Measures:
             free: whether the pendulums were free before, so that there are no angles of release.
         """
         since = released_ns - (0 if free else 1_500_000_000)  # with the angles before the release
-        signals = self.signals(since, max(since, self.since(15.0)))
+        signals = self.signals(since, max(since, self.since(DISPLACEMENTS_S)))
         release = None if free else (released_ns - since) * 1e-9
         return settled(signals, limits, release_time_s=release, angle_step_rad=step_rad)
 

@@ -20,6 +20,8 @@ from rig_basics.arrays import Array
 
 _SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
 _MAX_WINDOWS = 30
+DISPLACEMENTS_S = 40.0
+"""The newest displacements that a decision needs, s: more than its windows. With fewer it is another decision."""
 # Smallest width of a mean as a share of the tolerance. Angles show the departure from an unstable balance, small at
 # first; amplitudes need only be steady, and may wander with temperature and speed for any time.
 _MIN_WIDTH_ANGLE, _MIN_WIDTH_AMPLITUDE = 1 / 50, 1 / 10
