@@ -289,6 +289,12 @@ def test_chunk_indexes_become_arrays() -> None:
     assert (found["totals"], found["end"]) == ({3: 3, 0x1234: 2}, 320)
 
 
+def test_a_message_index_may_list_no_message() -> None:
+    block = chunk_index(offsets=[(3, 150), (7, 181), (0x1234, 196)], behind=31 + 15 + 47)
+    used, found = chunks(block)
+    assert (used, found["entries"][:3]) == (len(block), [(3, 1), (7, 0), (0x1234, 2)])
+
+
 def test_an_incomplete_chunk_index_is_the_rest() -> None:
     first = chunk_index()
     assert chunks(first + first[:-1])[0] == len(first)
