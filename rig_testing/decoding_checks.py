@@ -20,6 +20,8 @@ _JOINED_NS = 40_000_000
 _SAME_NS = 20_000_000  # by which other cuts may move a sample's time; joined reads move host times themselves
 _LONGEST_WRAP_S = 100.0
 _CLOCK_WRAPS_S = {"2³² µs": 2**32 * 1e-6, "2³² · 10 µs": 2**32 * 1e-5, "2³² ms": 2**32 * 1e-3, "2¹⁶ ms": 2**16 * 1e-3}
+# Reads that lose bytes; short ones count if there are too few long ones.
+_LONG_READ_BYTES, _SHORT_READ_BYTES = 12, 6
 _FLOOD_BYTES, _MOST_BYTES = 1 << 20, 1 << 19
 
 
@@ -153,8 +155,13 @@ def check_damage(subject: Subject) -> str:
     """Bytes lost from the middle of reads are counted; exactly, if the driver claims so."""
     tape, rng = subject.tape, np.random.default_rng(13)
     reads = list(tape.reads)
-    long_enough = [i for i, read in enumerate(reads) if read[0] == RX and len(read[1]) >= 12]
-    need(len(long_enough) > 20, "too few reads are long enough to lose bytes of them")
+    sizes = [len(data) if direction == RX else 0 for direction, data, _ in reads]
+    for least in (_LONG_READ_BYTES, _SHORT_READ_BYTES):
+        long_enough = [i for i, size in enumerate(sizes) if size >= least]
+        if len(long_enough) > 20:
+            break
+    else:
+        raise NotTried(f"fewer than 20 reads have the {_SHORT_READ_BYTES} bytes that are needed to lose some of them")
     some = rng.choice(long_enough[len(long_enough) // 10 : -len(long_enough) // 3], 12, replace=False)
     for number in map(int, some):
         _, data, host_ns = reads[number]

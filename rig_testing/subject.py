@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.drivers.contract import Driver, Pipeline, SampleClock, TurnsRotor, claims_of
-from daq.items import Batch, DeviceEvent, joined
+from daq.items import RX, Batch, DeviceEvent, joined
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import (
     DisplacementSensor,
@@ -26,6 +26,7 @@ from rig_testing.report import Failed
 
 SPEED_RPM, RAMP_RPM_S = 200.0, 400.0
 _TAPE_S = 3.0
+_LEAST_READS, _LONGEST_TAPE_S = 40, 60.0  # a slow sensor is recorded for longer, until so many reads came in
 _TROUBLE = ("gap", "damage", "restart", "rate", "words", "foreign", "fault", "emergency")
 
 Reads = Sequence[tuple[int, bytes, int]]
@@ -82,21 +83,26 @@ class Subject:
 
     @cached_property
     def tape(self) -> Tape:
-        """Three seconds of the device on a moving rig.
+        """Three seconds of the device on a moving rig, or as long as it takes to receive enough reads.
 
         Raises:
             Failed: it cannot be opened.
         """
-        return self.record(_TAPE_S)
+        return self.record(_TAPE_S, least_reads=_LEAST_READS)
 
     @cached_property
     def another(self) -> Tape:
         """The same of another device of the kind."""
-        return self.record(_TAPE_S, seed=2)
+        return self.record(_TAPE_S, seed=2, least_reads=_LEAST_READS)
 
-    def record(self, seconds: float, seed: int = 1, clock_at_s: float | None = None) -> Tape:
+    def record(self, seconds: float, seed: int = 1, clock_at_s: float | None = None, least_reads: int = 0) -> Tape:
         """Record the device; a device that turns the rotor turns it.
 
+        Args:
+            seconds: duration, s.
+            seed: of the simulated device.
+            clock_at_s: see DriverBench.
+            least_reads: the recording continues until so many reads came in, or up to a minute.
         Raises:
             Failed: the device cannot be opened or does not accept commands.
         """
@@ -110,6 +116,10 @@ class Subject:
             except Exception as error:
                 raise Failed(f"it cannot be set up: {type(error).__name__}: {error}") from error
             bench.time.pass_time(seconds)
+            passed_s = seconds
+            while passed_s < _LONGEST_TAPE_S and sum(read[0] == RX for read in bench.reads) < least_reads:
+                bench.time.pass_time(seconds)
+                passed_s += seconds
             return bench.cut_tape()
 
     def decode(self, reads: Reads) -> tuple[Items, Pipeline]:

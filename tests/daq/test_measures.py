@@ -35,7 +35,7 @@ def recorded(signals: RotorSignals) -> Measures:
 
 
 def test_a_look_and_the_analysis_of_the_log_judge_the_same_windows() -> None:
-    """Errors of the marks give amplitudes a wide noise: whether they are steady depends on all windows since release."""
+    """Errors of the marks give amplitudes a wide noise: the decision depends on all windows since the release."""
     rng = np.random.default_rng(4)
     t, laser = np.arange(0.0, END_S, 0.01), np.arange(0.0, END_S, 0.001)
     true = np.arange(0.0, END_S, TURN_S)
