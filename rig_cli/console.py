@@ -164,7 +164,9 @@ def wait_for_compilation(what: str) -> Generator[None]:
             if self.depth == 0:
                 self.started = time.monotonic()
                 if self.seconds == 0:
-                    notify(f"compiling {what} code, once on this machine: ten seconds, a minute on a slow one …")
+                    notify(
+                        f"compiling {what} code, once for this command: ten seconds, some minutes on a busy machine …"
+                    )
             self.depth += 1
 
         def on_end(self, event: Any) -> None:
@@ -178,7 +180,7 @@ def wait_for_compilation(what: str) -> Generator[None]:
     with install("numba:compile", listener):
         yield
     if listener.seconds > 0:
-        notify(f"compiled in {listener.seconds:.0f} s; the next run starts without compiling")
+        notify(f"compiled in {listener.seconds:.0f} s; the next run of this command starts without compiling")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The driver: what it needs in a rig file, what it gives, how it is opened, simulated and played."""
+"""The driver: settings in a rig file, channels, opening dialogue, simulated device, stand-in for replay."""
 
 import queue
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ _PERIOD_MS, _ANSWER_S = 10, 1.0
 
 
 class Tilt(DeviceSettings):
-    """The inclinometer's table in a rig file. `height_m` serves the simulation: where on the column it sits."""
+    """The inclinometer's table in a rig file. `height_m`: its height on the column, for the simulation."""
 
     baud: Annotated[int, Field(ge=9600)] = 115_200
     topic: str = "tilt"
@@ -44,7 +44,7 @@ class SimulatedTilt(FarEnd):
         self._next: int | None = None
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Commands, cut anywhere."""
+        """Receive commands; the bytes may be cut anywhere."""
         *commands, self._received = (self._received + data).split(b"\n")
         self._received = self._received[-line.LONGEST :]
         out = b""
@@ -56,7 +56,7 @@ class SimulatedTilt(FarEnd):
         return out
 
     def sample(self, motion: MotionInterval) -> bytes:
-        """A line every ten milliseconds of its own clock."""
+        """Return a line for every ten milliseconds of the device's clock."""
         first, last = (int(float(self._clock.device_s(motion.time_s[i])) * 1000 // _PERIOD_MS) for i in (0, -1))
         numbers = np.arange(first + 1 if self._next is None else self._next, last + 1)
         self._next = max(last + 1, self._next or 0)
@@ -81,15 +81,15 @@ class PlayedTilt(PlayedDevice):
 
     @property
     def sending(self) -> bool:
-        """Whether its bytes go out."""
+        """Whether the device sends."""
         return self._sends
 
     def begin(self) -> None:
-        """Send, for one who only listens."""
+        """Send without START, to a host that sends no commands."""
         self._sends = True
 
     def hear(self, data: bytes) -> bytes:
-        """Commands; here they come whole."""
+        """Receive complete commands."""
         self.commands += data.count(b"\n")
         self._sends = b"START" in data or (self._sends and b"STOP" not in data)
         return self._answer if b"ID?" in data else b""
@@ -102,24 +102,24 @@ class TiltDriver(PlainDriver):
     claims = frozenset({"checksum", "counts exactly", "falls silent"})
 
     def channels(self, settings: Tilt) -> tuple[Channel, ...]:
-        """One."""
+        """Return the channel of the two angles."""
         return (Channel(settings.topic, "rig_driver_tilt.Tilt", _FIELDS),)
 
     def clocks(self, settings: Tilt) -> tuple[SampleClock, ...]:
-        """Its own, in ms."""
+        """Return the device's clock, which counts ms."""
         rate, tolerance = 1e3 / _PERIOD_MS, settings.clock_tolerance_ppm
         return (SampleClock(settings.topic, rate, tolerance, "device_ms", 1_000_000, line.COUNT_WRAP),)
 
     def pipeline(self, device: str, settings: Tilt, identity: Mapping[str, Any]) -> TiltPipeline:
-        """A fresh one."""
+        """Return a new pipeline."""
         return TiltPipeline(device, self.channels(settings)[0], settings.clock_tolerance_ppm, identity)
 
     def far_end(self, device: str, settings: Tilt, world: Any) -> FarEnd:
-        """A simulated one."""
+        """Return a simulated device."""
         return SimulatedTilt(settings, world.clock(device))
 
     def played(self, settings: Tilt, identity: Mapping[str, Any]) -> PlayedDevice:
-        """Of a log."""
+        """Return the stand-in for the device of a log."""
         return PlayedTilt(identity)
 
     def open(self, device: str, settings: Tilt, talk: Talk) -> dict[str, Any]:
