@@ -164,9 +164,7 @@ def wait_for_compilation(what: str) -> Generator[None]:
             if self.depth == 0:
                 self.started = time.monotonic()
                 if self.seconds == 0:
-                    notify(
-                        f"compiling {what} code, once for this command: ten seconds, some minutes on a busy machine …"
-                    )
+                    notify(f"compiling {what} code, once for this command: ten seconds, minutes on a busy machine …")
             self.depth += 1
 
         def on_end(self, event: Any) -> None:
