@@ -108,7 +108,7 @@ def _displacement_rows() -> Iterator[Interlock]:
     yield Interlock(
         "amplitude",
         "displacement",
-        f"limits.amplitude_m, by two of {TOGETHER} samples",
+        f"limits.amplitude_m, by two samples at most {TOGETHER} apart",
         "limits.amplitude_m",
         "at once",
         role=DisplacementSensor.role,
