@@ -430,19 +430,23 @@ def test_a_supply_that_failed_while_it_turned_is_a_restart_with_unknown_speed(be
     assert "it was switched off and on" in bench.events("restart")[0]
 
 
-def test_a_supply_that_failed_at_rest_is_a_restart(bench: Bench) -> None:
+def test_a_supply_that_failed_at_rest_is_a_warning_and_ends_nothing(bench: Bench) -> None:
     bench.converter.power(False, bench.time.now_s)
     bench.time.pass_time(2.0)
     bench.converter.power(True, bench.time.now_s)
     bench.time.pass_time(0.5)
-    assert len(bench.events("restart")) == 1
+    found = [item for item in bench.items if isinstance(item, DeviceEvent) and item.kind in ("emergency", "restart")]
+    assert [event.kind for event in found] == ["emergency"]
+    assert "it was switched off and on" in DRIVER.words(found[0])
+    assert not DRIVER.checks(bench.settings, bench.pipeline, bench.drive, found)["emergencies"].passed
     assert bench.drive.actual_rpm == 0
     bench.drive.start()
     bench.turn()
-    assert len(bench.events("restart")) == 1
+    assert bench.rpm == pytest.approx(200, rel=0.01)
+    assert len(bench.events("emergency")) == 1
 
 
-def test_a_silence_without_a_restart_is_none(bench: Bench) -> None:
+def test_a_silence_without_a_restart_causes_no_event(bench: Bench) -> None:
     bench.turn()
     bench.converter.fail("mute", 1)
     bench.time.pass_time(0.8)

@@ -458,13 +458,15 @@ def test_a_converter_without_its_timeout_was_switched_off_and_on() -> None:
 @pytest.mark.parametrize(
     ("written", "found", "times"), [(10, 10, 0), (10, 100, 1), (0, 0, 0), (None, 100, 0), (None, 0, 1)]
 )
-def test_a_timeout_that_the_host_knows_is_no_restart(written: int | None, found: int, times: int) -> None:
+def test_a_restart_is_derived_from_the_timeout_that_the_host_has_set(
+    written: int | None, found: int, times: int
+) -> None:
     line = Line()
     if written is not None:
         line.write(0x2012, written)
     line.ask(wire.encode(wire.Request(1, 3, 0x2012, 1)))
     line.hear(frame(f"01 03 02 {found:04x}"))
-    assert line.kinds() == ["restart"] * times
+    assert line.kinds() == ["emergency"] * times
 
 
 @pytest.mark.parametrize("rules", [5, 6])

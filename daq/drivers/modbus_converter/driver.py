@@ -45,7 +45,7 @@ class ModbusConverterDriver(PlainDriver):
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""
-        return event.text if event.facts["error_code"] else ""
+        return event.text if event.facts["error_code"] or event.facts.get("restart") else ""
 
     def checks(
         self, settings: ModbusConverter, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]

@@ -53,10 +53,11 @@ class RotorSpeed:
             self._released, self._ran, self._doubted = abs(ran_rpm) > limit, None, False
         return math.nan if self._released else rpm
 
-    def restarted(self) -> None:
-        """Take that the converter lost its supply: its output was off, also if it runs again at the next report."""
-        if self._ran is not None and abs(self._ran[1]) > self._settings.rest_rpm:
-            self._released, self._ran = True, None
+    def restarted(self) -> bool:
+        """Take that the converter lost its supply, and so its output was off. Return whether the rotor may turn."""
+        if self._ran is not None:
+            self._released, self._ran = abs(self._ran[1]) > self._settings.rest_rpm, None
+        return self._released
 
     def _largest_drop(self, since_ns: int, host_ns: int, *, stopping: bool) -> float:
         """Return the drop of speed that a ramp may have caused since a report, rpm.

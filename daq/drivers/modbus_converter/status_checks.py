@@ -24,7 +24,8 @@ def converter_checks(pipeline: Pipeline, control: SpeedControl | None, events: S
         state = control.state
         note = "" if state != states.FAULT else states.fault_text(control.fault_code() or 0)
         out["state"] = DeviceCheck(state, "no fault", state not in (states.FAULT, states.UNKNOWN), note)
-    faults = [event.text for event in events if event.kind == "emergency" and event.facts["error_code"]]
+    emergencies = [event for event in events if event.kind == "emergency"]
+    faults = [e.text for e in emergencies if e.facts["error_code"] or e.facts.get("restart")]
     out["emergencies"] = DeviceCheck(", ".join(faults) or "none", "none", not faults)
     refused = [event.text for event in events if event.kind == "refused"]
     note = "compare the register table with its manual" if refused else ""

@@ -59,7 +59,7 @@ class ConverterPipeline:
         self._device, self._settings, self._registers = device, settings, settings.registers
         rules = clock_rules(identity)
         self._blocks = settings.blocks_of(settings.registers.reads_gaps or rules < DROP_OUT_RULES)
-        self._drops_echo = self._knows_restarts = self._refusals_by_request = rules >= DROP_OUT_RULES
+        self._drops_echo = self._finds_restarts = self._refusals_by_request = rules >= DROP_OUT_RULES
         self.echoes: bool = False
         self._request: wire.Request | None = None
         self._returned = b""  # bytes of the request that the adapter may return
@@ -180,20 +180,25 @@ class ConverterPipeline:
         return [reply, *([DeviceEvent("refused", self._device, text, {"exception": answer.exception})] if new else [])]
 
     def _restart(self, answer: wire.Answer) -> Items:
-        """Return the restart of a converter that has not the communication timeout any more that the host had set."""
+        """Return the event of a converter that has lost the communication timeout that the host had set.
+
+        A restart that begins while the rotor turns stops the rig. At rest the operator gets a warning.
+        """
         r = self._registers
-        if not self._knows_restarts or (answer.request.register, answer.request.count) != (r.watchdog, 1):
+        if not self._finds_restarts or (answer.request.register, answer.request.count) != (r.watchdog, 1):
             return []
         found, wanted = answer.registers[0], self._watchdog
         if wanted == 0 or 0 < found <= (0xFFFF if wanted is None else wanted):
             return []
-        self._rotor.restarted()
+        turns = self._rotor.restarted()
         self._watchdog = 0  # until the host sets it again
         text = (
             f"it was switched off and on: its communication timeout (register {r.watchdog}) is {found}, not what the "
             "host had set. Look at its supply, then start again"
         )
-        return [DeviceEvent("restart", self._device, text)]
+        if turns:
+            return [DeviceEvent("restart", self._device, text)]
+        return [DeviceEvent("emergency", self._device, text, {"error_code": 0, "restart": True})]
 
     # --- reports -----------------------------------------------------------------------------------------------
 
