@@ -59,7 +59,7 @@ class ConverterPipeline:
         self._device, self._settings, self._registers = device, settings, settings.registers
         rules = clock_rules(identity)
         self._blocks = settings.blocks_of(settings.registers.reads_gaps or rules < DROP_OUT_RULES)
-        self._drops_echo = self._finds_restarts = self._refusals_by_request = rules >= DROP_OUT_RULES
+        self._revised = rules >= DROP_OUT_RULES  # drops echoes, derives restarts, reports refusals by register
         self.echoes: bool = False
         self._request: wire.Request | None = None
         self._returned = b""  # bytes of the request that the adapter may return
@@ -98,7 +98,7 @@ class ConverterPipeline:
             return self._unexpected(surplus)
         before, end, answer = found
         after = len(self._received) - end
-        if self._drops_echo and answer.request.function in wire.READS and self._returned:
+        if self._revised and answer.request.function in wire.READS and self._returned:
             self.echoes = self._received[:before] == self._returned
             before = 0 if self.echoes else before
         self._request = None
@@ -130,7 +130,7 @@ class ConverterPipeline:
             else:
                 self.losses["unanswered"] += 1
         self._request, self._asked_ns, self._asked_once = request, host_ns, True
-        self._returned = data if self._drops_echo else b""
+        self._returned = data if self._revised else b""
         self._received.clear()
         r = self._registers
         for register, value in enumerate(request.values, request.register):
@@ -151,7 +151,7 @@ class ConverterPipeline:
     def _answered(self, answer: wire.Answer, host_ns: int) -> Items:
         if answer.exception:
             return self._refused(answer)
-        if self._refusals_by_request:
+        if self._revised:
             self._refusals.pop((answer.request.function, answer.request.register), None)
         if answer.request.function not in wire.READS:
             return []
@@ -173,7 +173,7 @@ class ConverterPipeline:
         request = answer.request
         what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
         text = f"it refuses {what} register {request.register}: {answer.refusal}"
-        of = (request.function, request.register) if self._refusals_by_request else (0, 0)
+        of = (request.function, request.register) if self._revised else (0, 0)
         before, self._refusals[of] = self._refusals.get(of), text
         reply = DeviceEvent("reply", self._device, text, {})
         new = text != before
@@ -185,7 +185,7 @@ class ConverterPipeline:
         A restart that begins while the rotor turns stops the rig. At rest the operator gets a warning.
         """
         r = self._registers
-        if not self._finds_restarts or (answer.request.register, answer.request.count) != (r.watchdog, 1):
+        if not self._revised or (answer.request.register, answer.request.count) != (r.watchdog, 1):
             return []
         found, wanted = answer.registers[0], self._watchdog
         if wanted == 0 or 0 < found <= (0xFFFF if wanted is None else wanted):
