@@ -19,6 +19,7 @@ from daq.drivers.contract import (
     MeasuresAtOpening,
     ObservesIdentity,
     Poller,
+    SendsByItself,
     claims_of,
     stop_device,
 )
@@ -317,6 +318,8 @@ class Links:
     def _open_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
+        if name == command.drive_name and isinstance(command.drive, SendsByItself):
+            command.drive.pause()
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
         fixed = self._reported[name]
         if isinstance(device.driver, MeasuresAtOpening):

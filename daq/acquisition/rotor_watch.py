@@ -82,6 +82,7 @@ class RotorWatch:
         self._radio_s = patience(RADIO_S)
         self._drive_rpm: float | None = None
         self._drive_ns = 0
+        self._unmeasured_ns: int | None = None  # of the drive's newest report without a speed
         self._zero_since_ns: int | None = None
         self._fell = False  # the reported speed jumped to 0, as that of a drive that does not measure when it is off
         self._reports: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
@@ -106,8 +107,22 @@ class RotorWatch:
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
     def drive_reported(self, host_ns: int, rpm: NDArray[np.float64]) -> Finding | None:
-        """Evaluate the drive's reports of one read, actual speeds, shape (n,), n ≥ 1. Return a fault, or None."""
+        """Evaluate the drive's reports of one read, actual speeds, shape (n,), n ≥ 1. Return a fault, or None.
+
+        A report without a speed (NaN) is no evidence of rest, and the index marks decide meanwhile.
+        """
         reported: list[float] = rpm.tolist()  # few values, for which lists are faster than arrays
+        if math.isnan(sum(reported)):
+            ends_without = math.isnan(reported[-1])
+            reported = [one for one in reported if not math.isnan(one)]
+            finding = self._drive_measured(host_ns, reported) if reported else None
+            if ends_without:
+                self._drive_rpm = None if self._drive_rpm is None else math.nan
+                self._zero_since_ns, self._unmeasured_ns = None, host_ns
+            return finding
+        return self._drive_measured(host_ns, reported)
+
+    def _drive_measured(self, host_ns: int, reported: list[float]) -> Finding | None:
         least, greatest, last = min(reported), max(reported), reported[-1]
         if self._drive_rpm is None:
             self._highest, self._lowest = max(self.target_rpm, greatest), min(self.target_rpm, least)
@@ -266,7 +281,10 @@ class RotorWatch:
     def words(self, now_ns: int) -> str:
         """Return the available speeds as text for a message."""
         reported, marks = self.drive_rpm(now_ns), self.mark_rpm(now_ns)
-        drive = "the drive is silent" if math.isnan(reported) else f"the drive reports {reported:.0f} rpm"
+        drive = f"the drive reports {reported:.0f} rpm"
+        if math.isnan(reported):
+            silent_ns = now_ns - (self._unmeasured_ns or 0)
+            drive = "the drive is silent" if silent_ns > self._max_report_age_ns else "the drive reports no speed"
         drive = drive if self._driven else "the rotor is turned by hand"
         if self._node_ns is None:
             return f"{drive}, no other device measures the rotor"

@@ -456,6 +456,15 @@ class MeasuresTimeOut(Protocol):
         ...
 
 
+@runtime_checkable
+class SendsByItself(Protocol):
+    """A speed source that also sends requests by itself, between the commands."""
+
+    def pause(self) -> None:
+        """Send no such requests until `start`: the driver's dialogue opens the device again."""
+        ...
+
+
 class LockControl(Protocol):
     """An open device that locks and releases the pendulums."""
 

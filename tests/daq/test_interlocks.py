@@ -435,6 +435,43 @@ def test_delayed_index_marks_of_a_braked_rotor_are_not_a_fault() -> None:
     assert "no index mark for 6 turns" in (watch.unseen(now) or "")
 
 
+def test_a_report_without_a_speed_is_no_evidence_of_rest() -> None:
+    """Its output was switched off at 600 rpm: the index marks decide until they cease."""
+    watch, now = RotorWatch(1200.0, lambda s: s), START_NS
+    watch.commanded(600.0)
+    turns, at_rest = 0, []
+    for k in range(700):  # 7 s: marks to 3 s, speed to 1 s
+        now = START_NS + k * 10_000_000
+        watch.node_heard(now)
+        if k % 10 == 0 and k < 300:
+            watch.marks_received(now, np.array([now]), np.array([now]), np.array([turns]))
+            turns += 1
+        if k % 5 == 0:
+            assert watch.drive_reported(now, np.array([600.0 if k < 100 else np.nan])) is None
+        if k == 120:
+            watch.commanded(0.0)
+            assert "the drive reports no speed" in watch.words(now)
+        assert watch.unseen(now) is None
+        if watch.at_rest(now):
+            at_rest.append(k)
+    assert at_rest[0] > 300
+    assert at_rest[-1] == 699
+    assert "the drive is silent" in watch.words(now + 5_000_000_000)
+
+
+def test_a_speed_after_reports_without_one_counts_no_turns_that_were_not_reported() -> None:
+    watch, now = RotorWatch(1200.0, lambda s: s), START_NS
+    watch.commanded(300.0)
+    watch.node_heard(now)
+    for rpm in (300.0, np.nan, np.nan, 300.0):
+        now += 50_000_000
+        assert watch.drive_reported(now, np.array([rpm])) is None
+        assert watch.unseen(now) is None
+    assert watch.drive_reported(now + 50_000_000, np.array([300.0, np.nan])) is None
+    assert np.isnan(watch.drive_rpm(now + 50_000_000))
+    assert watch.drive_reported(now + 99_000_000, np.array([np.nan, 900.0, 900.0, 900.0, 900.0])) is not None
+
+
 def test_missing_index_marks_are_not_rest_of_a_rotor_turned_by_hand() -> None:
     watch, now, turn = RotorWatch(1200.0, lambda s: s, driven=False), START_NS, 0
     watch.commanded(300.0)

@@ -14,7 +14,7 @@ from daq.drivers.modbus_converter.control import ConverterControl
 from daq.drivers.modbus_converter.driver import DRIVER, ModbusConverterDriver
 from daq.drivers.modbus_converter.far_end import SimulatedConverter
 from daq.errors import DeviceError, LinkLost
-from daq.items import RX, TX, DeviceEvent
+from daq.items import RX, TX, Batch, DeviceEvent
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
 from tests.daq.kit_cases import kit_cases
@@ -408,6 +408,142 @@ def test_the_simulated_converter_refuses_what_it_does_not_have(bench: Bench) -> 
         assert order.answer.exception == exception
     values: dict[str, Any] = dict(bench.converter.facts())
     assert values["collisions"] == 0
+
+
+# --- bad days ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("off_s", [0.5, 2.0, 6.0])
+def test_a_supply_that_failed_while_it_turned_is_a_restart_with_unknown_speed(bench: Bench, off_s: float) -> None:
+    """The rotor runs down without torque, and the converter that returns reports 0 and no fault."""
+    bench.turn(600)
+    bench.converter.power(False, bench.time.now_s)
+    bench.time.pass_time(off_s)
+    begun = len(bench.items)
+    bench.converter.power(True, bench.time.now_s)
+    bench.time.pass_time(0.5)
+    assert bench.rpm > 100
+    speeds = [row.columns["speed_rpm"][0] for row in bench.items[begun:] if isinstance(row, Batch)]
+    assert speeds
+    assert all(math.isnan(speed) for speed in speeds)
+    assert len(bench.events("restart")) == 1
+    assert "it was switched off and on" in bench.events("restart")[0]
+
+
+def test_a_supply_that_failed_at_rest_is_a_warning_and_ends_nothing(bench: Bench) -> None:
+    bench.converter.power(False, bench.time.now_s)
+    bench.time.pass_time(2.0)
+    bench.converter.power(True, bench.time.now_s)
+    bench.time.pass_time(0.5)
+    found = [item for item in bench.items if isinstance(item, DeviceEvent) and item.kind in ("emergency", "restart")]
+    assert [event.kind for event in found] == ["emergency"]
+    assert "it was switched off and on" in DRIVER.words(found[0])
+    assert not DRIVER.checks(bench.settings, bench.pipeline, bench.drive, found)["emergencies"].passed
+    assert bench.drive.actual_rpm == 0
+    bench.drive.start()
+    bench.turn()
+    assert bench.rpm == pytest.approx(200, rel=0.01)
+    assert len(bench.events("emergency")) == 1
+
+
+def test_a_silence_without_a_restart_causes_no_event(bench: Bench) -> None:
+    bench.turn()
+    bench.converter.fail("mute", 1)
+    bench.time.pass_time(0.8)
+    bench.converter.fail("mute", 0)
+    bench.time.pass_time(0.5)
+    assert bench.events("restart") == []
+    assert bench.drive.actual_rpm == pytest.approx(200, abs=2)
+
+
+@pytest.mark.parametrize("exception", [5, 6])
+def test_a_command_to_a_busy_converter_is_repeated(bench: Bench, exception: int) -> None:
+    bench.turn()
+    busy, server = [exception] * 2, bench.converter._server
+    written = server._written
+    server._written = lambda register, value: busy.pop() if busy else written(register, value)
+    bench.drive.set_speed(300)
+    bench.time.pass_time(1.0)
+    assert bench.rpm == pytest.approx(300, abs=2)
+    assert bench.lost == {"refused": 2}
+
+
+def test_reports_go_on_while_a_command_waits_for_a_busy_converter(bench: Bench) -> None:
+    bench.turn()
+    bench.converter.fail("refuses", 6)
+    begun = len(bench.items)
+    with pytest.raises(DeviceError, match="exception 6: it is busy"):
+        bench.drive.set_speed(300)
+    assert sum(isinstance(item, Batch) for item in bench.items[begun:]) >= 3
+    bench.drive.quick_stop()  # is not delayed by the commands before it
+    bench.converter.fail("refuses", 0)
+    bench.time.pass_time(0.4)
+    assert abs(bench.rpm) < 1
+
+
+def test_a_converter_that_does_not_obey_a_stop_is_named(bench: Bench) -> None:
+    """It answers and goes on running, as one that is set to its keypad."""
+    bench.turn()
+    bench.converter._server._written = lambda register, value: 0
+    with pytest.raises(DeviceError, match=r"it answers, but does not obey\. Look whether it is set to its keypad"):
+        bench.drive.disable()
+    messages: list[str] = []
+    bench.converter.fail("refuses", 4)
+    assert bench.drive.stop(messages.append) is False
+    assert "commanded to stop, its state is RUNNING: it answers, but does not obey" in messages[-1]
+
+
+def test_a_timeout_that_cannot_be_ended_stays_and_its_fault_is_reset() -> None:
+    bench = Bench(_Altivar())
+    with bench.running():
+        bench.begin()
+        bench.turn()
+        assert bench.drive.stop() is True
+        assert bench.converter.watchdog_ms == 1000
+        bench.converter.fail("fault", 0x7510)
+        bench.drive.start()
+        bench.time.pass_time(0.3)
+        bench.drive.enable()
+        assert "missing host (code 29968)" in bench.drive.was_reset
+
+
+def test_while_it_is_opened_again_only_stops_are_sent(bench: Bench) -> None:
+    bench.time.pass_time(0.3)
+    bench.drive.pause()
+    bench.time.pass_time(0.2)
+    begun = len(bench.sent())
+    bench.time.pass_time(1.0)
+    assert len(bench.sent()) == begun
+    bench.drive.quick_stop()
+    bench.time.pass_time(0.2)
+    assert [request.values for request in bench.sent()[begun:]] == [(4,), (0,)]
+    bench.drive.start()
+    bench.turn()
+    assert bench.rpm == pytest.approx(200, rel=0.01)
+
+
+def test_an_echo_of_the_adapter_is_named_when_nothing_else_comes() -> None:
+    bench = Bench()
+    receive = bench.converter.receive
+    bench.converter.fail("deaf", 1)
+    bench.converter.receive = lambda data, now_s: data + receive(data, now_s)
+    with bench.running(), pytest.raises(DeviceError, match=r"as many bytes came as were sent \(32\)"):
+        bench.begin()
+
+
+def test_it_is_turned_through_an_adapter_with_an_echo() -> None:
+    bench = Bench()
+    receive = bench.converter.receive
+    bench.converter.receive = lambda data, now_s: data + receive(data, now_s)
+    with bench.running():
+        bench.begin()
+        bench.turn()
+        assert bench.rpm == pytest.approx(200, rel=0.01)
+        assert bench.drive.stop() is True
+        assert bench.lost == {}
+        checks = DRIVER.checks(bench.settings, bench.pipeline, bench.drive, [])
+        assert checks["echo"].passed
+        assert "returns the host's own bytes" in checks["echo"].note
 
 
 # --- its time-out, measured ---------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -215,8 +216,8 @@ def report(status: int = 0x11, fault: int = 0, counts: int = 1000) -> bytes:
 class Line:
     """A pipeline with what was fed to it."""
 
-    def __init__(self, **given: Any) -> None:
-        self.pipeline = ConverterPipeline("drive", settings(**given))
+    def __init__(self, identity: Mapping[str, Any] | None = None, **given: Any) -> None:
+        self.pipeline = ConverterPipeline("drive", settings(**given), identity or {})
         self.now_ns = 0
         self.items: list[Batch | DeviceEvent] = []
 
@@ -233,6 +234,11 @@ class Line:
     def poll(self, **given: int) -> None:
         self.ask()
         self.hear(report(**given))
+
+    def write(self, register: int, value: int) -> None:
+        request = wire.encode(wire.Request(1, 6, register, 1, (value,)))
+        self.ask(request)
+        self.hear(request)
 
     @property
     def rows(self) -> list[tuple[float, float, int]]:
@@ -278,9 +284,20 @@ def test_signed_words_of_reference_and_speed() -> None:
     line.hear(frame("01 06 21 35 00 0f"))
     line.ask(wire.encode(wire.Request(1, 3, 3201, 1)))
     line.hear(frame("01 03 02 06 37"))
+    line.ask(wire.encode(wire.Request(1, 3, 8606, 1)))
+    line.hear(frame("01 03 02 00 00"))
+    line.ask(wire.encode(wire.Request(1, 3, 8604, 1)))
+    line.hear(frame("01 03 02 fe d5"))
+    assert line.rows == [(-299, -300, 0x0637)]
+
+
+def test_an_older_log_is_decoded_by_the_reads_of_its_time() -> None:
+    line = Line({"clock_rules": 5}, table="altivar")
+    line.ask(wire.encode(wire.Request(1, 3, 3201, 1)))
+    line.hear(frame("01 03 02 06 37"))
     line.ask(wire.encode(wire.Request(1, 3, 8604, 3)))
     line.hear(frame("01 03 06 fe d5 00 00 00 00"))
-    assert line.rows == [(-299, -300, 0x0637)]
+    assert line.rows == [(-299, 0, 0x0637)]
 
 
 def test_a_report_whose_state_was_lost_gives_no_sample() -> None:
@@ -390,6 +407,114 @@ def test_the_speed_of_a_rotor_without_torque_is_unknown() -> None:
 
 def test_a_rotor_that_was_stopped_along_a_ramp_stands() -> None:
     line = Line()
+    line.write(0x2000, 1)
     line.poll(counts=200)
+    line.write(0x2000, 0)
     line.poll(status=0x10, counts=0)
     assert [row[0] for row in line.rows] == [60, 0]
+
+
+def test_an_output_that_drops_out_between_the_reads_of_a_report_leaves_the_speed_unknown() -> None:
+    """The state was read before the fault, the speed after it: running with 0 rpm, which no ramp explains."""
+    line = Line()
+    line.poll(counts=1000)
+    line.poll(counts=0)
+    line.poll(status=0x08, fault=4, counts=0)
+    assert [math.isnan(row[0]) for row in line.rows] == [False, True, True]
+
+
+def test_a_converter_that_goes_on_running_at_0_stands() -> None:
+    line = Line()
+    line.poll(counts=1000)
+    for _ in range(3):
+        line.poll(counts=0)
+    assert [row[0] for row in line.rows][2:] == [0, 0]
+
+
+@pytest.mark.parametrize(("after_ms", "stands"), [(2000, False), (3900, True)])
+def test_without_a_stop_only_the_communication_timeout_explains_rest(after_ms: float, stands: bool) -> None:
+    """It decelerates by 120 rpm/s, 1 s after the last request; a supply that failed leaves the rotor turning."""
+    line = Line()
+    line.write(0x2000, 1)
+    line.poll(counts=1000)
+    line.ask(after_ms=after_ms)
+    line.hear(report(status=0x10, counts=0))
+    assert math.isnan(line.rows[-1][0]) is not stands
+
+
+def test_a_converter_without_its_timeout_was_switched_off_and_on() -> None:
+    """Its rotor may turn, even if there was enough time for a ramp."""
+    line = Line()
+    line.write(0x2012, 10)
+    line.write(0x2000, 1)
+    line.poll(counts=1000)
+    line.ask(wire.encode(wire.Request(1, 3, 0x2012, 1)), after_ms=20_000)
+    line.hear(frame("01 03 02 00 00"))
+    line.poll(status=0x10, counts=0)
+    assert line.kinds() == ["drive", "restart", "drive"]
+    assert math.isnan(line.rows[-1][0])
+
+
+@pytest.mark.parametrize(
+    ("written", "found", "times"), [(10, 10, 0), (10, 100, 1), (0, 0, 0), (None, 100, 0), (None, 0, 1)]
+)
+def test_a_restart_is_derived_from_the_timeout_that_the_host_has_set(
+    written: int | None, found: int, times: int
+) -> None:
+    line = Line()
+    if written is not None:
+        line.write(0x2012, written)
+    line.ask(wire.encode(wire.Request(1, 3, 0x2012, 1)))
+    line.hear(frame(f"01 03 02 {found:04x}"))
+    assert line.kinds() == ["emergency"] * times
+
+
+@pytest.mark.parametrize("rules", [5, 6])
+def test_returned_bytes_of_the_host_are_no_damage(rules: int) -> None:
+    line = Line({"clock_rules": rules})
+    for _ in range(3):
+        line.ask()
+        line.hear(POLL)
+        line.hear(report())
+    assert [row[0] for row in line.rows] == [300] * 3
+    assert line.lost() == ({} if rules == 6 else {"damaged_bytes": 24})
+    assert line.pipeline.echoes is (rules == 6)
+
+
+def test_a_returned_write_is_not_its_answer() -> None:
+    """With an echo the answer is the second copy, or the refusal behind the first one."""
+    line = Line()
+    line.ask()
+    line.hear(POLL + report())
+    request = wire.encode(wire.Request(1, 6, 0x2001, 1, (500,)))
+    line.ask(request)
+    line.hear(request)
+    assert line.pipeline.answers == []
+    line.hear(frame("01 86 03"))
+    assert [answer.exception for answer in line.pipeline.answers] == [3]
+    line.ask(request)
+    line.hear(request[:3])
+    line.hear(request[3:] + request)
+    assert [answer.exception for answer in line.pipeline.answers] == [0]
+    line.poll()  # without an echo
+    assert not line.pipeline.echoes
+    assert line.lost() == {"refused": 1}
+    line.ask()
+    line.hear(POLL)
+    line.ask()
+    assert line.lost() == {"refused": 1, "damaged_answers": 1, "damaged_bytes": 8}
+
+
+def test_a_refusal_of_every_register_is_reported_once() -> None:
+    """Two reads alternate: each is refused with its own text."""
+    line = Line(table="invt", baud=38400)
+    for _ in range(3):
+        for register, count in line.pipeline._blocks:
+            line.ask(wire.encode(wire.Request(1, 3, register, count)))
+            line.hear(frame("01 83 06"))
+    assert line.kinds() == ["refused"] * 2
+    line.ask(wire.encode(wire.Request(1, 3, 0x3000, 1)))
+    line.hear(frame("01 03 02 00 00"))
+    line.ask(wire.encode(wire.Request(1, 3, 0x3000, 1)))
+    line.hear(frame("01 83 06"))
+    assert line.kinds() == ["refused"] * 3

@@ -30,6 +30,10 @@ _UNCONFIRMED = (
     "it does not answer: the stop is not confirmed. Its own communication timeout stops it, if it works. Look at its "
     "power and its line before anyone touches the rotor"
 )
+_DISOBEYS = (
+    "its state is RUNNING: it answers, but does not obey. Look whether it is set to its keypad or its terminals "
+    "instead of the serial line, and stop it there"
+)
 _REMEDY = "Look into its manual, mend the cause and reset it there"
 
 
@@ -189,11 +193,17 @@ class ConverterControl:
         self._line.polling = True
         r = self._registers
         if r.watchdog is not None:
+            if self._watch_set:  # the pipeline derives from it whether the converter was switched off and on
+                self._read(r.watchdog)
             self._watch_set = True
             self._confirmed([self._set(r.watchdog, self._watchdog)])
         if r.watchdog_action is not None:
             self._confirmed([self._set(r.watchdog_action, r.watchdog_action_value)])
         self.set_ramp(self._ramp_rpm_per_s)
+
+    def pause(self) -> None:
+        """See SendsByItself. A stop is sent all the same."""
+        self._line.polling = False
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """See SpeedSource.
@@ -371,8 +381,11 @@ class ConverterControl:
         with self._lock:
             self._armed = False
         if not self._off():
-            why = _UNCONFIRMED if self.state == states.UNKNOWN else f"its state is {self.state}. {_REMEDY}"
-            raise DeviceError(f"drive: commanded to stop, {why}")
+            raise DeviceError(f"drive: commanded to stop, {self._why_not_off()}")
+
+    def _why_not_off(self) -> str:
+        known = {states.UNKNOWN: _UNCONFIRMED, states.RUNNING: _DISOBEYS}
+        return known.get(self.state, f"its state is {self.state}. {_REMEDY}")
 
     def _off(self) -> bool:
         """Send the stop until a later report shows that the output is off; return whether one did."""
@@ -438,17 +451,20 @@ class ConverterControl:
         if not self._ordered and self.state != states.RUNNING and self._guarded.at_rest() is not False:
             return True  # no command was sent, and it is not known to turn
         self.quick_stop()
-        return wait_for_rest(self._clock, self._guarded, self.quick_stop, notify)
+        rests = wait_for_rest(self._clock, self._guarded, self.quick_stop, notify)
+        if not rests and self.state == states.RUNNING:
+            notify(f"the drive was commanded to stop, {_DISOBEYS}")
+        return rests
 
     def _release(self, notify: Callable[[str], None]) -> bool:
         """Switch the output off, if it was on, and end the watch."""
         if (self._ordered or self.state == states.RUNNING) and not self._off():
-            why = _UNCONFIRMED if self.state == states.UNKNOWN else f"its state is {self.state}. {_REMEDY}"
-            notify(f"the drive was commanded to stop, {why}")
+            notify(f"the drive was commanded to stop, {self._why_not_off()}")
             return False
-        if self._watch_set and self._registers.watchdog is not None:
+        r = self._registers
+        if self._watch_set and r.watchdog is not None and r.watchdog_off is not None:
             with ignoring(_log, "ending the converter's communication timeout", DeviceError):
-                self._confirmed([self._set(self._registers.watchdog, 0)])
+                self._confirmed([self._set(r.watchdog, r.watchdog_off)])
                 self._watch_set = False
         self._ordered = False
         return True

@@ -30,9 +30,10 @@ def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, An
     while not talk.replies.empty():
         talk.replies.get_nowait()
     register, count = settings.blocks[0]
-    request = wire.Request(settings.address, settings.registers.read_function, register, count)
+    request = wire.encode(wire.Request(settings.address, settings.registers.read_function, register, count))
+    before = talk.bytes_in
     for _ in range(_TRIES):
-        talk.send(wire.encode(request))
+        talk.send(request)
         try:
             reply = talk.replies.get(timeout=2 * settings.answer_s)  # the next request must not meet a late answer
         except queue.Empty:  # usual: the first answer may be lost
@@ -41,7 +42,10 @@ def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, An
             raise DeviceError(f'{device} on {settings.port}: {reply}. Is the register table "{settings.table}" right?')
         talk.clock.wait(settings.answer_s)  # the converter's pause before the first request of `control`
         return {"table": settings.table, "address": settings.address}
-    came = f"{talk.bytes_in} bytes came, none of them that answer" if talk.bytes_in else "nothing came"
+    heard = talk.bytes_in - before
+    came = f"{heard} bytes came, none of them that answer" if heard else "nothing came"
+    if heard == _TRIES * len(request):
+        came = f"as many bytes came as were sent ({heard}), as from an adapter that returns the host's own bytes,"
     raise DeviceError(
         f"{device} on {settings.port}: no answer to a read of {count} registers from {register} on, {came} in {_TRIES} "
         f"tries. Is the converter powered, its Modbus address {settings.address}, its line at {settings.baud} baud, "

@@ -41,11 +41,11 @@ class ModbusConverterDriver(PlainDriver):
         """See Driver."""
         from daq.drivers.modbus_converter.stream import ConverterPipeline  # imports pymodbus
 
-        return ConverterPipeline(device, settings)
+        return ConverterPipeline(device, settings, identity)
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""
-        return event.text if event.facts["error_code"] else ""
+        return event.text if event.facts["error_code"] or event.facts.get("restart") else ""
 
     def checks(
         self, settings: ModbusConverter, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
@@ -53,7 +53,7 @@ class ModbusConverterDriver(PlainDriver):
         """See Driver: the converter's state, its faults, and requests that it refused."""
         from daq.drivers.modbus_converter.status_checks import converter_checks
 
-        return converter_checks(control, events)
+        return converter_checks(pipeline, control, events)
 
     def far_end(self, device: str, settings: ModbusConverter, world: Any) -> FarEnd:
         """See Driver."""

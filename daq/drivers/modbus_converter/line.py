@@ -11,6 +11,8 @@ from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.transports.host_clock import HostClock
 
 _TRIES = 3
+_BUSY = (5, 6)  # exceptions after which a command is repeated; some makers use 6 for a request with a wrong CRC
+_SILENCE = 3  # requests in turn without an answer after which the converter may have been switched off and on
 _LATEST_ANSWERS = 3  # answer times after which an answer does not come any more
 _SHORTEST_PAUSE_S = 0.00175  # between two frames, s: the standard's value above 19200 baud
 _PAUSE_BITS = 3.5 * 11
@@ -40,6 +42,10 @@ class RequestLine:
     need no such precaution: their answers repeat register and value, or are not relied on. `_deciding` protects the
     state, `_sending` keeps the order of what is sent; no lock is held during a wait.
 
+    A command that the converter refuses because it is busy is repeated `answer_s` later. During a silence the
+    communication timeout is read until it is answered: a converter that was switched off and on has lost it, and the
+    pipeline must know before the next report.
+
     Args:
         settings: table of the converter in the rig file.
         send: writes bytes to the converter's link (and to the log).
@@ -60,11 +66,16 @@ class RequestLine:
         self._orders: deque[Order] = deque()
         self._asked: Order | None = None
         self._asked_s = self._free_s = self._due_s = 0.0
+        self._resume_s = 0.0  # time until which commands wait because the converter is busy; reads go on
         self._next_poll = 0
         self._probes = [wire.Request(settings.address, function, settings.registers.status, 1), *self._polls]
         self._missed: dict[
             tuple[int, ...], float
         ] = {}  # shapes of unanswered reads, and when their answers are overdue
+        watchdog = settings.registers.watchdog
+        self._evidence = None if watchdog is None else wire.Request(settings.address, function, watchdog, 1)
+        self._evidence_s = 0.0  # time after which unanswered reads of it are overdue
+        self._unanswered = 0  # requests in turn without an answer
         self.polling: bool = False
         self.sent_ns: int = 0
 
@@ -73,6 +84,7 @@ class RequestLine:
         orders = [Order(request) for request in requests]
         with self._deciding:
             if urgent:
+                self._resume_s = 0.0
                 self._orders.clear()
                 if self._asked is not None:
                     self._asked.tries = 0
@@ -95,11 +107,19 @@ class RequestLine:
     def heard(self, answer: wire.Answer) -> None:
         """Take an answer that the pipeline has found for a request."""
         with self._deciding:
-            self._missed.clear()
+            self._unanswered = 0
+            if answer.request != self._evidence:  # several such reads may be outstanding
+                self._missed.clear()
+                self._evidence_s = 0.0
             asked = self._asked
             if asked is not None and asked.request == answer.request:
-                asked.answer, self._asked = answer, None
+                self._asked = None
                 self._free_s = self._clock.wall_s() + self._pause_s
+                if answer.exception in _BUSY and asked.tries > 0:
+                    self._orders.appendleft(asked)
+                    self._resume_s = self._free_s + self._answer_s
+                else:
+                    asked.answer = answer
 
     def beat(self) -> None:
         """Send the next request if it is due.
@@ -120,8 +140,12 @@ class RequestLine:
             if now - self._asked_s < self._answer_s:
                 return None
             asked, self._asked = self._asked, None
-            if asked.request.function in wire.READS:
-                self._missed[asked.request.shape] = self._asked_s + _LATEST_ANSWERS * self._answer_s
+            self._unanswered += 1
+            overdue_s = self._asked_s + _LATEST_ANSWERS * self._answer_s
+            if asked.request == self._evidence:
+                self._evidence_s = overdue_s
+            elif asked.request.function in wire.READS:
+                self._missed[asked.request.shape] = overdue_s
             if asked.tries > 0:
                 self._orders.appendleft(asked)
         if now < self._free_s:
@@ -134,13 +158,16 @@ class RequestLine:
         return order
 
     def _due(self, now: float) -> Order | None:
-        if not self._orders and (not self.polling or now < self._due_s):
+        ordered = bool(self._orders) and now >= self._resume_s
+        if not ordered and (not self.polling or now < self._due_s):
             return None
-        wanted = self._orders[0].request if self._orders else self._polls[self._next_poll]
+        wanted = self._orders[0].request if ordered else self._polls[self._next_poll]
+        if not ordered and self._evidence is not None and self._unanswered >= _SILENCE:
+            return None if self._confusable(self._evidence, now) else Order(self._evidence, tries=1)
         if self._confusable(wanted, now):
             clear = [probe for probe in self._probes if not self._confusable(probe, now)]
             return Order(clear[0], tries=1) if clear else None
-        if self._orders:
+        if ordered:
             return self._orders.popleft()
         self._next_poll = (self._next_poll + 1) % len(self._polls)
         if self._next_poll == 0:  # rounds that are overdue are not made up for
@@ -148,4 +175,7 @@ class RequestLine:
         return Order(wanted, tries=1)
 
     def _confusable(self, request: wire.Request, now: float) -> bool:
-        return request.function in wire.READS and now < self._missed.get(request.shape, 0.0)
+        if request.function not in wire.READS:
+            return False
+        looks_like = self._evidence is not None and request.shape == self._evidence.shape and request != self._evidence
+        return now < self._missed.get(request.shape, 0.0) or (looks_like and now < self._evidence_s)

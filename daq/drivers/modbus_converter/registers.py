@@ -31,6 +31,7 @@ class Registers(RigTable):
 
     Attributes:
         read_function, write_function: function codes for reading (3 or 4) and writing (6 or 16).
+        reads_gaps: whether one read may also span registers that the converter does not have.
         control: register of the command word.
         before_run: command words that are written before `run`, in this order.
         run, run_reverse: command words for both directions of rotation; None: it does not turn backwards, or the sign
@@ -50,6 +51,7 @@ class Registers(RigTable):
             only be set by hand.
         watchdog_action, watchdog_action_value: register of the reaction to a timeout, and the value for a stop; None:
             it is set by hand.
+        watchdog_off: value that ends the communication timeout at rest; None: it cannot be ended.
         watchdog_fault: fault code after a timeout; None: unknown, so that a fault is never reset by the host.
         write_offset: added to the address of ramp and watchdog registers when they are written, so that the converter
             does not store them in its EEPROM.
@@ -57,6 +59,7 @@ class Registers(RigTable):
 
     read_function: Literal[3, 4] = 3
     write_function: Literal[6, 16] = 6
+    reads_gaps: bool = True
     control: Word = 0x2000
     before_run: Words = ()
     run: Word = 1
@@ -89,6 +92,7 @@ class Registers(RigTable):
     watchdog_step_s: Positive = 0.1
     watchdog_action: Word | None = None
     watchdog_action_value: Word = 0
+    watchdog_off: Word | None = 0
     watchdog_fault: Word | None = 18
     write_offset: Word = 0
 
@@ -149,6 +153,7 @@ TABLES: Mapping[str, Mapping[str, Any]] = {
         "watchdog_fault": 53,
     },
     "altivar": {
+        "reads_gaps": False,
         "control": 8501,
         "before_run": (0x0006, 0x0007),
         "run": 0x000F,
@@ -176,7 +181,8 @@ TABLES: Mapping[str, Mapping[str, Any]] = {
         "acceleration": 9001,
         "deceleration": 9002,
         "watchdog": 6005,
-        "watchdog_fault": None,
+        "watchdog_off": None,
+        "watchdog_fault": 0x7510,
     },
 }
 """Entries of each table that differ from "generic"."""

@@ -13,7 +13,7 @@ from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
 from rig_configs.table import Positive
 
 _LONGEST_BLOCK = 16  # registers that some converters return at most
-_EXCHANGE_BYTES = 8 + 5 + 2 * 3 + 7  # a read and its answer of a few registers, with 3.5 characters of silence each
+_EXCHANGE_BYTES = 8 + 5 + 7  # a read and its answer without the registers, with 3.5 characters of silence each
 _MAX_LINE_SHARE = 0.8
 _MAX_REPORT_S = 0.1  # longest time between two reports, so that one may be lost
 
@@ -73,7 +73,7 @@ class ModbusConverter(DeviceSettings):
         if self.watchdog_s < 2 * self.answer_s + 1 / self.report_Hz:
             raise ValueError("watchdog_s must be above 2 answer_s + 1/report_Hz, or one lost answer stops the rig")
         bits = 9 + (self.parity != "N") + self.stop_bits
-        needed = len(self.blocks) * _EXCHANGE_BYTES * bits * self.report_Hz
+        needed = sum(_EXCHANGE_BYTES + 2 * count for _, count in self.blocks) * bits * self.report_Hz
         if needed > _MAX_LINE_SHARE * self.baud:
             raise ValueError(
                 f"report_Hz = {self.report_Hz:g} needs {needed:.0f} of the line's {self.baud} bit/s, more than "
@@ -88,12 +88,22 @@ class ModbusConverter(DeviceSettings):
     @property
     def blocks(self) -> tuple[tuple[int, int], ...]:
         """First register and number of registers of the reads of one report; the one with the speed is the last."""
+        return self.blocks_of(self.registers.reads_gaps)
+
+    def blocks_of(self, across_gaps: bool) -> tuple[tuple[int, int], ...]:
+        """Return the reads of one report, see `blocks`.
+
+        Args:
+            across_gaps: whether one read may also span registers that are not used.
+        """
         r = self.registers
         blocks: list[tuple[int, int]] = []
         wanted: set[int] = {r.status, r.speed} if r.fault_code is None else {r.status, r.speed, r.fault_code}
         for register in sorted(wanted):
-            if blocks and register < blocks[-1][0] + _LONGEST_BLOCK:
-                blocks[-1] = blocks[-1][0], register - blocks[-1][0] + 1
+            first, count = blocks[-1] if blocks else (-_LONGEST_BLOCK, 0)
+            longest = _LONGEST_BLOCK if across_gaps else count + 1
+            if register - first < longest:
+                blocks[-1] = first, register - first + 1
             else:
                 blocks.append((register, 1))
         return tuple(sorted(blocks, key=lambda block: block[0] <= r.speed < sum(block)))

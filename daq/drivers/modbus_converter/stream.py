@@ -6,19 +6,21 @@ late answer fits the next request (`line.RequestLine`). A converter has no clock
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from daq import channels
+from daq.clock import clock_rules
 from daq.drivers.modbus_converter import states, wire
+from daq.drivers.modbus_converter.rotor_speed import DROP_OUT_RULES, RotorSpeed
 from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.items import TX, Batch, DeviceEvent
 
 LATEST_S = 0.5
 """Latest answer to a read after its request, rig s: an older state or speed gives no sample."""
-_SLACK = 1.5  # factor on the drop of speed that a stop along a ramp can cause between two reports
 
 Items = list[Batch | DeviceEvent]
 
@@ -46,15 +48,21 @@ class ConverterPipeline:
             bytes without an intact answer came; "damaged_bytes": bytes outside of answers; "late": answers to a read
             after `LATEST_S`; "refused": requests that the converter refused.
         answers, reports: those of the last `feed`, for the host's command.
+        echoes: whether the adapter returns the host's own bytes.
     """
 
-    def __init__(self, device: str, settings: ModbusConverter) -> None:
+    def __init__(self, device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> None:
         kinds = ("unanswered", "damaged_answers", "damaged_bytes", "late", "refused")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self.answers: list[wire.Answer] = []
         self.reports: list[Report] = []
         self._device, self._settings, self._registers = device, settings, settings.registers
+        rules = clock_rules(identity)
+        self._blocks = settings.blocks_of(settings.registers.reads_gaps or rules < DROP_OUT_RULES)
+        self._revised = rules >= DROP_OUT_RULES  # drops echoes, derives restarts, reports refusals by register
+        self.echoes: bool = False
         self._request: wire.Request | None = None
+        self._returned = b""  # bytes of the request that the adapter may return
         self._asked_ns = 0
         self._asked_once = False  # whether a request was seen: an answer before it began before the log
         self._received = bytearray()
@@ -62,20 +70,26 @@ class ConverterPipeline:
         self._words: dict[int, int] = {}  # registers of the present report
         self._control, self._reference = settings.registers.stop, 0
         self._status: tuple[int, int] | None = None
-        self._ran: tuple[int, float] | None = None  # time and speed of the last report while running
-        self._released = False  # whether the output was switched off at speed
-        self._refusal = ""
+        self._rotor = RotorSpeed(settings, rules)
+        self._watchdog: int | None = None  # communication timeout that the host has set; None if it was before the log
+        self._stopping = False  # whether the last command in the log is a stop
+        self._refusals: dict[tuple[int, int], str] = {}  # reasons by function and register, until an answer
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         self.answers, self.reports = [], []
         if direction == TX:
             request = wire.parse_request(data)
-            return [] if request is None else self._sent(request, host_ns)
+            return [] if request is None else self._sent(request, data, host_ns)
         if self._request is None:
             return self._unexpected(len(data))
         self._received += data
-        found = wire.find_answer(bytes(self._received), self._request)
+        if self.echoes and self._returned and len(self._received) >= len(self._returned):
+            self.echoes = self._received.startswith(self._returned)
+            if self.echoes:
+                del self._received[: len(self._returned)]
+            self._returned = b""
+        found = self._found()
         if found is None:
             surplus = len(self._received) - 2 * wire.LONGEST_FRAME_BYTES
             if surplus <= 0:
@@ -84,11 +98,21 @@ class ConverterPipeline:
             return self._unexpected(surplus)
         before, end, answer = found
         after = len(self._received) - end
+        if self._revised and answer.request.function in wire.READS and self._returned:
+            self.echoes = self._received[:before] == self._returned
+            before = 0 if self.echoes else before
         self._request = None
         self._received.clear()
         out = self._unexpected(before + after) + self._gap()
         self.answers.append(answer)
         return out + self._answered(answer, host_ns)
+
+    def _found(self) -> tuple[int, int, wire.Answer] | None:
+        """Return the answer to the present request, with where it begins and ends in the received bytes."""
+        request = self._request
+        if request is None or (self.echoes and self._returned):  # a write and its answer are the same bytes
+            return None
+        return wire.find_answer(bytes(self._received), request)
 
     def _unexpected(self, count: int) -> Items:
         if not count or not self._asked_once:
@@ -96,7 +120,7 @@ class ConverterPipeline:
         self.losses["damaged_bytes"] += count
         return [DeviceEvent("damage", self._device, f"{count} bytes outside of answers", {"bytes": count})]
 
-    def _sent(self, request: wire.Request, host_ns: int) -> Items:
+    def _sent(self, request: wire.Request, data: bytes, host_ns: int) -> Items:
         out: Items = []
         if self._request is not None:
             self._missing += 1
@@ -106,12 +130,16 @@ class ConverterPipeline:
             else:
                 self.losses["unanswered"] += 1
         self._request, self._asked_ns, self._asked_once = request, host_ns, True
+        self._returned = data if self._revised else b""
         self._received.clear()
+        r = self._registers
         for register, value in enumerate(request.values, request.register):
-            if register == self._registers.control:
-                self._control = value
-            elif register == self._registers.reference:
+            if register == r.control:
+                self._control, self._stopping = value, value not in (r.run, r.run_reverse)
+            elif register == r.reference:
                 self._reference = value
+            elif r.watchdog is not None and register == r.watchdog + r.write_offset:
+                self._watchdog = value
         return out
 
     def _gap(self) -> Items:
@@ -123,30 +151,54 @@ class ConverterPipeline:
     def _answered(self, answer: wire.Answer, host_ns: int) -> Items:
         if answer.exception:
             return self._refused(answer)
+        if self._revised:
+            self._refusals.pop((answer.request.function, answer.request.register), None)
         if answer.request.function not in wire.READS:
             return []
         reply = DeviceEvent("reply", self._device, " ".join(map(str, answer.registers)), {})
         block = answer.request.register, answer.request.count
-        if block not in self._settings.blocks:
-            return [reply]
+        if block not in self._blocks:
+            return [reply, *self._restart(answer)]
         if host_ns - self._asked_ns > LATEST_S * 1e9:
             self.losses["late"] += 1
             self._words.clear()
             return [reply, DeviceEvent("damage", self._device, "an answer too late for a sample", {"samples": 1})]
-        if block == self._settings.blocks[0]:
+        if block == self._blocks[0]:
             self._words.clear()
         self._words.update(enumerate(answer.registers, answer.request.register))
-        return [reply, *(self._report(host_ns) if block == self._settings.blocks[-1] else [])]
+        return [reply, *(self._report(host_ns) if block == self._blocks[-1] else [])]
 
     def _refused(self, answer: wire.Answer) -> Items:
         self.losses["refused"] += 1
         request = answer.request
         what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
         text = f"it refuses {what} register {request.register}: {answer.refusal}"
-        before, self._refusal = self._refusal, text
+        of = (request.function, request.register) if self._revised else (0, 0)
+        before, self._refusals[of] = self._refusals.get(of), text
         reply = DeviceEvent("reply", self._device, text, {})
         new = text != before
         return [reply, *([DeviceEvent("refused", self._device, text, {"exception": answer.exception})] if new else [])]
+
+    def _restart(self, answer: wire.Answer) -> Items:
+        """Return the event of a converter that has lost the communication timeout that the host had set.
+
+        A restart that begins while the rotor turns stops the rig. At rest the operator gets a warning.
+        """
+        r = self._registers
+        if not self._revised or (answer.request.register, answer.request.count) != (r.watchdog, 1):
+            return []
+        found, wanted = answer.registers[0], self._watchdog
+        if wanted == 0 or 0 < found <= (0xFFFF if wanted is None else wanted):
+            return []
+        turns = self._rotor.restarted()
+        self._watchdog = 0  # until the host sets it again
+        text = (
+            f"it was switched off and on: its communication timeout (register {r.watchdog}) is {found}, not what the "
+            "host had set. Look at its supply, then start again"
+        )
+        if turns:
+            return [DeviceEvent("restart", self._device, text)]
+        return [DeviceEvent("emergency", self._device, text, {"error_code": 0, "restart": True})]
 
     # --- reports -----------------------------------------------------------------------------------------------
 
@@ -159,7 +211,8 @@ class ConverterPipeline:
         now = states.state(r, status)
         fault = 0 if r.fault_code is None or now != states.FAULT else words[r.fault_code]
         rpm = self._settings.speed_rpm * states.reported_counts(r, status, words[r.speed])
-        report = Report(status, fault, self._rotor_rpm(now, rpm, host_ns))
+        rpm = self._rotor.reported(now, rpm, host_ns, stopping=self._stopping)
+        report = Report(status, fault, rpm)
         words.clear()
         out = self._changes(now, status, fault)
         self.reports.append(report)
@@ -170,20 +223,6 @@ class ConverterPipeline:
         }
         batch = Batch(channels.MOTOR, np.array([host_ns], np.int64), np.zeros(1, np.uint32), columns)
         return [*out, batch]
-
-    def _rotor_rpm(self, now: str, rpm: float, host_ns: int) -> float:
-        """Return the speed of the rotor; NaN if the output was switched off while the rotor turned.
-
-        Without torque the reported frequency is 0 at any speed of the rotor.
-        """
-        if now == states.RUNNING:
-            self._ran, self._released = (host_ns, rpm), False
-        elif self._ran is not None:
-            ran_ns, ran_rpm = self._ran
-            drop = _SLACK * self._settings.quick_rpm_per_s * (host_ns - ran_ns) * 1e-9 + self._settings.rest_rpm
-            limit = self._settings.rest_rpm if now == states.FAULT else drop
-            self._released, self._ran = abs(ran_rpm) > limit, None
-        return math.nan if self._released else rpm
 
     @property
     def _target_rpm(self) -> float:
