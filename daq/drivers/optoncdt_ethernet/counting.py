@@ -1,0 +1,142 @@
+"""What the counter of a sensor's packets states: missing frames, a restart, and a measuring rate that was changed."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Literal
+
+Counts = Literal["frames", "packets"]
+
+COUNTER_WRAP = 2**32
+_RESTART_FRAMES = 2**31  # a larger step of the counter is one backwards
+_EARLY_S = 1.0  # by which frames would have been received before they were measured
+_CERTAIN_STEPS = 3  # steps that fit one meaning of the counter only
+
+_WINDOW_NS = 1_000_000_000
+_LEAST_READS = 10  # of a window, so that its rate is known well enough
+_RIGHT, _WRONG = 0.1, 0.2  # deviations of a window's rate; the rates of the sensor differ by a factor of 1.5 or more
+_SAME = 0.05  # deviation of the windows from each other
+_WINDOWS = 3
+
+
+class FrameCounter:
+    """Compares the counters of consecutive packets with the number of their frames.
+
+    The manual does not state whether the counter is that of the packet's first frame or the number of frames up to its
+    end. In the first case it steps by the number of frames of the packet before, in the second by that of its own. The
+    meaning that explains the steps is taken.
+
+    Args:
+        counts: what the counter counts.
+        finds_end: whether the second meaning is considered.
+    """
+
+    def __init__(self, counts: Counts, *, finds_end: bool = True) -> None:
+        self._of_frames = counts == "frames"
+        self._finds_end = finds_end and self._of_frames
+        self._counter: int | None = None
+        self._frames = 0
+        self._steps = [0, 0]  # that fit only the counter of the first frame, and of the end
+        self.of_end: bool = False
+        """Whether the counter is that of the packet's end."""
+
+    def missing(self, counter: int, frames: int) -> int | None:
+        """Return the number of frames, or packets, missing before a packet.
+
+        Returns:
+            0 for the first packet; None if the counter steps back: the sensor started again.
+        """
+        before, self._counter = self._counter, counter
+        previous, self._frames = self._frames, frames
+        if before is None:
+            return 0
+        step = (counter - before) % COUNTER_WRAP
+        if self._finds_end and previous != frames and step in (previous, frames):
+            self._learn(int(step == frames))
+        expected = 1 if not self._of_frames else frames if self.of_end else previous
+        missing = step - expected
+        return missing if 0 <= missing < _RESTART_FRAMES else None
+
+    def _learn(self, meaning: int) -> None:
+        if self._steps[1 - meaning] < _CERTAIN_STEPS:
+            self._steps[meaning] += 1
+            self.of_end = bool(meaning)
+
+
+class LeastDelay:
+    """Finds frames that would have been received before they were measured: the counter does not continue.
+
+    The counter of a sensor that started again can be larger than before: after 2³¹ frames, which are five days at
+    5 kHz, and after a short time. A bit error can do the same.
+    """
+
+    def __init__(self) -> None:
+        self._least_ns: float | None = None
+
+    def clear(self) -> None:
+        """Begin again."""
+        self._least_ns = None
+
+    def is_possible(self, device_ns: float, host_ns: int) -> bool:
+        """Whether frames up to a time of the sensor's clock can have been received at a host time, both in ns."""
+        return self._least_ns is None or host_ns - device_ns > self._least_ns - _EARLY_S * 1e9
+
+    def feed(self, device_ns: float, host_ns: int) -> None:
+        """Take frames up to a time of the sensor's clock, received at a host time, both in ns."""
+        delay = host_ns - device_ns
+        self._least_ns = delay if self._least_ns is None else min(delay, self._least_ns)
+
+
+class RateChange:
+    """Finds that a sensor was set to another measuring rate while it is read.
+
+    The time of a sample is its number times the sampling period, so all later samples would have a wrong time. Frames
+    that wait in a buffer are no change: their rate is not the same for so long. A rate that is wrong from the beginning
+    is not judged here, since the host compares each device's rate with the rig file.
+
+    Args:
+        rate_Hz: rate of the rig file, Hz.
+
+    Attributes:
+        found_Hz: the other rate, Hz; 0 while the rate is that of the rig file.
+    """
+
+    def __init__(self, rate_Hz: float) -> None:
+        self._rate_Hz = rate_Hz
+        self._begin: tuple[int, int] | None = None  # frames, host ns
+        self._reads = 0
+        self._was_right = False
+        self._others: deque[float] = deque(maxlen=_WINDOWS)
+        self.found_Hz: float = 0.0
+
+    def clear(self) -> None:
+        """Begin the present window again, after the counter did not continue."""
+        self._begin = None
+        self._others.clear()
+
+    def feed(self, frames: int, host_ns: int) -> bool:
+        """Take the number of frames up to now, missing ones included; return whether `found_Hz` has changed."""
+        if self._begin is None or host_ns - self._begin[1] > 2 * _WINDOW_NS or host_ns < self._begin[1]:
+            self._begin, self._reads = (frames, host_ns), 0
+            self._others.clear()
+            return False
+        self._reads += 1
+        if host_ns - self._begin[1] < _WINDOW_NS or self._reads < _LEAST_READS:
+            return False
+        rate_Hz = (frames - self._begin[0]) / (host_ns - self._begin[1]) * 1e9
+        self._begin, self._reads = (frames, host_ns), 0
+        deviation = abs(rate_Hz / self._rate_Hz - 1)
+        if deviation < _RIGHT:
+            self._was_right = True
+            self._others.clear()
+            changed, self.found_Hz = self.found_Hz != 0.0, 0.0
+            return changed
+        if deviation < _WRONG or not self._was_right or self.found_Hz:
+            self._others.clear()
+            return False
+        self._others.append(rate_Hz)
+        mean = sum(self._others) / len(self._others)
+        if len(self._others) < _WINDOWS or any(abs(rate / mean - 1) > _SAME for rate in self._others):
+            return False
+        self.found_Hz = mean
+        return True
