@@ -341,6 +341,29 @@ def test_a_counter_of_the_end_of_a_packet_gives_no_false_gaps(end: int) -> None:
     assert line.clock_seed is None
 
 
+@pytest.mark.parametrize(("counts", "step", "remedy"), [("frames", 1, "packets"), ("packets", 50, "frames")])
+def test_a_counter_that_counts_otherwise_is_a_fault_with_the_remedy(counts: str, step: int, remedy: str) -> None:
+    """Not a restart, or a loss, with each packet."""
+    line = pipeline(counts=counts)
+    items: list[Batch | DeviceEvent] = []
+    for i in range(8):
+        items += line.feed(RX, packet(7 + step * i, [MID] * 50), S + i * 10_000_000)
+    assert [kind for kind in kinds(items) if kind != "gap"] == ["fault"]
+    assert f'set counts = "{remedy}"' in line.complaint
+    assert len(recorded(items)) <= 150
+
+
+def test_a_counter_of_24_bits_that_wraps_is_no_restart() -> None:
+    """The counter of a frame has 24 bits; at 5 kHz it wraps after 56 minutes."""
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i, counter in enumerate((2**24 - 100, 2**24 - 50, 0, 50)):
+        items += line.feed(RX, packet(counter, [MID] * 50), S + i * 10_000_000)
+    assert kinds(items) == []
+    assert len(recorded(items)) == 200
+    assert kinds(line.feed(RX, packet(0, [MID] * 50), 2 * S)) == ["restart"]
+
+
 def test_losses_are_counted_between_packets_of_any_size() -> None:
     """A loss as large as the difference of two packets does not change the meaning of the counter."""
     line = pipeline()
@@ -427,6 +450,16 @@ def test_a_rate_that_is_changed_ends_the_samples_until_it_is_right_again() -> No
     assert line.complaint == ""
     taken = len(recorded(items + slow + back))
     assert line.losses["samples"] + taken == counter
+
+
+def test_packets_of_another_sensor_are_no_rate() -> None:
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i in range(1200):
+        serial = 78 if 300 <= i < 900 else 77
+        items += line.feed(RX, packet(50 * i, [MID] * 50, serial), S + i * 10_000_000)
+    assert kinds(items) == ["fault", "gap"]
+    assert line.losses["samples"] == 600 * 50
 
 
 def test_frames_that_wait_are_no_change_of_the_rate() -> None:

@@ -8,6 +8,7 @@ from typing import Literal
 Counts = Literal["frames", "packets"]
 
 COUNTER_WRAP = 2**32
+_SHORT_WRAP = 2**24
 _RESTART_FRAMES = 2**31  # a larger step of the counter is one backwards
 _EARLY_S = 1.0  # by which frames would have been received before they were measured
 _CERTAIN_STEPS = 3  # steps that fit one meaning of the counter only
@@ -24,19 +25,20 @@ class FrameCounter:
 
     The manual does not state whether the counter is that of the packet's first frame or the number of frames up to its
     end. In the first case it steps by the number of frames of the packet before, in the second by that of its own. The
-    meaning that explains the steps is taken.
+    meaning that explains the steps is taken. The counter may have 24 bits, as the one that can be selected for frames.
 
     Args:
         counts: what the counter counts.
-        finds_end: whether the second meaning is considered.
+        is_open: whether the second meaning and 24 bits are considered.
     """
 
-    def __init__(self, counts: Counts, *, finds_end: bool = True) -> None:
+    def __init__(self, counts: Counts, *, is_open: bool = True) -> None:
         self._of_frames = counts == "frames"
-        self._finds_end = finds_end and self._of_frames
+        self._is_open = is_open
         self._counter: int | None = None
         self._frames = 0
         self._steps = [0, 0]  # that fit only the counter of the first frame, and of the end
+        self._others = 0  # consecutive steps that fit the other setting of `counts`
         self.of_end: bool = False
         """Whether the counter is that of the packet's end."""
 
@@ -51,11 +53,27 @@ class FrameCounter:
         if before is None:
             return 0
         step = (counter - before) % COUNTER_WRAP
-        if self._finds_end and previous != frames and step in (previous, frames):
+        fits_other = min(previous, frames) > 1 and (step == 1 if self._of_frames else step in (previous, frames))
+        self._others = self._others + 1 if fits_other and self._is_open else 0
+        if self._others and self._of_frames:
+            return 0  # no restart: `contradiction` states it
+        if self._is_open and self._of_frames and previous != frames and step in (previous, frames):
             self._learn(int(step == frames))
         expected = 1 if not self._of_frames else frames if self.of_end else previous
         missing = step - expected
-        return missing if 0 <= missing < _RESTART_FRAMES else None
+        if 0 <= missing < _RESTART_FRAMES:
+            return missing
+        is_wrap = self._is_open and before < _SHORT_WRAP and (counter - before) % _SHORT_WRAP == expected
+        return 0 if is_wrap else None
+
+    @property
+    def contradiction(self) -> str:
+        """What contradicts the setting `counts`, from consecutive steps of the counter; empty otherwise."""
+        if self._others < _CERTAIN_STEPS:
+            return ""
+        if self._of_frames:
+            return f'its counter steps by 1 with each packet of about {self._frames} frames: set counts = "packets"'
+        return f'its counter steps by the number of frames of each packet, about {self._frames}: set counts = "frames"'
 
     def _learn(self, meaning: int) -> None:
         if self._steps[1 - meaning] < _CERTAIN_STEPS:

@@ -56,12 +56,13 @@ class EthernetPipeline:
         self._serial: tuple[int, int] | None = None  # order and serial number
         self._flags: list[tuple[int, int]] = []  # of the first and of the newest packet of the wanted sensor
         self._frame_size = wire.FrameSize()
-        self._counter = FrameCounter(settings.counts, finds_end=self._checks)
+        self._counter = FrameCounter(settings.counts, is_open=self._checks)
         self._delay = LeastDelay()
         self._rate = RateChange(settings.rate_Hz)
         self._next: int | None = None  # number of the next sample
         self._refused = 0  # samples that were not taken, since their rate is another one
         self._joined = self._misfits = False
+        self._skips = False  # whether packets are skipped because of the complaint
         self._watch = distances.ScalingWatch(settings.scaling, settings.range_m)
 
     @property
@@ -92,7 +93,7 @@ class EthernetPipeline:
         for packet in found.packets:
             self._joined = True
             out += self._identified(packet)
-            if self.complaint and not self._rate.found_Hz:
+            if self._skips:
                 continue
             gap = self._gap(packet, host_ns)
             if gap and words:
@@ -102,14 +103,14 @@ class EthernetPipeline:
             out += self._doubted(packet)
             first, count = self._next or 0, len(packet.frames)
             self._next = first + count
-            if self.complaint:
+            if self.complaint or self._rate.found_Hz:
                 self._refused += count if self._rate.found_Hz else 0
                 continue
             numbers.append(np.arange(first, first + count))
             words.append(packet.frames[:, self._place])
         if words:
             out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
-        if found.packets and self._next is not None and self._checks:
+        if found.packets and self._next is not None and self._checks and not self._skips:
             self._delay.feed(self._next * self._period_ns, host_ns)
             out += self._rated(self._next, host_ns)
         return out
@@ -134,8 +135,9 @@ class EthernetPipeline:
             out += self._complain(text, {"frame_bytes": size})
         return out
 
-    def _complain(self, text: str, facts: dict[str, Any]) -> Items:
-        self.has_reported, self.complaint = True, text
+    def _complain(self, text: str, facts: dict[str, Any], *, skips: bool = True) -> Items:
+        self.has_reported, self.complaint, self._skips = True, text, skips
+        self._rate.clear()
         return [DeviceEvent("fault", self._device, text, facts)]
 
     def _identified(self, packet: wire.Packet) -> Items:
@@ -151,7 +153,7 @@ class EthernetPipeline:
         self._serial, self.has_reported = own, True
         self._flags = [*self._flags[:1], packet.flags]
         self._wanted = self._wanted or packet.serial
-        self.complaint = ""
+        self.complaint, self._skips = "", False
         if packet.serial != self._wanted:
             self._flags = [packet.flags]
             return self._complain(
@@ -180,9 +182,12 @@ class EthernetPipeline:
         return [DeviceEvent("doubt", self._device, self.doubt, {"flags_1": flags[0], "flags_2": flags[1]})]
 
     def _doubted(self, packet: wire.Packet) -> Items:
-        """Take no samples whose scaling is wrong: the amplitude would be too small by a factor of some hundred."""
-        found = self._watch.contradiction(packet.frames[:, self._place])
-        return self._complain(found, {"scaling": self._settings.scaling}) if found else []
+        """Take no samples whose scaling is wrong, by a factor of some hundred, or whose counter counts otherwise."""
+        if found := self._watch.contradiction(packet.frames[:, self._place]):
+            return self._complain(found, {"scaling": self._settings.scaling})
+        if (found := self._counter.contradiction) and not self.complaint:
+            return self._complain(found, {"counts": self._settings.counts})
+        return []
 
     def _gap(self, packet: wire.Packet, host_ns: int) -> Items:
         """Return the event about samples missing before a packet, and set the number of its first sample."""
@@ -226,7 +231,8 @@ class EthernetPipeline:
                 f"its measuring rate was changed some seconds ago: about {self._rate.found_Hz:.0f} Hz, expected "
                 f"{self._settings.rate_Hz:g} Hz. Set the rate as before, or correct rate_Hz and begin again"
             )
-            return self._complain(text, {"rate_Hz": self._rate.found_Hz, "nominal_Hz": self._settings.rate_Hz})
+            facts = {"rate_Hz": self._rate.found_Hz, "nominal_Hz": self._settings.rate_Hz}
+            return self._complain(text, facts, skips=False)
         self.complaint = ""
         refused, self._refused = self._refused, 0
         gap = self._lost(refused, 0, "not taken, since their rate was another one")

@@ -184,7 +184,7 @@ class FrameSize:
         self._sizes: set[int] = set()
 
     def clear(self) -> None:
-        """Forget the headers, since a packet fits."""
+        """Discard the headers, since a packet fits."""
         self._headers = 0
 
     def feed(self, misfits: Iterable[Misfit]) -> int | None:
