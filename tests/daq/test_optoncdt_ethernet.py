@@ -415,10 +415,19 @@ def test_flags_that_name_other_values_are_reported_once() -> None:
     assert "sends INTENSITY, DIST, expected words = DIST, STATE" in line.doubt
     assert line.complaint == ""
     assert kinds(line.feed(RX, frames_packet(50, [[512, 10_000_000]] * 50, flags=1 << 8), S + 10_000_000)) == []
-    (check,) = EthernetDriver().checks(settings(words=["DIST", "STATE"]), line, None, []).values()
-    assert not check.passed
-    (check,) = EthernetDriver().checks(settings(), pipeline(), None, []).values()
-    assert check.passed
+    checks = EthernetDriver().checks(settings(words=["DIST", "STATE"]), line, None, [])
+    assert [check.passed for check in checks.values()] == [False, True]
+    assert all(check.passed for check in EthernetDriver().checks(settings(), pipeline(), None, []).values())
+
+
+def test_a_check_states_why_no_samples_are_taken() -> None:
+    """Other checks fail too then, such as that of the place in the range, whose advice would be wrong."""
+    line = pipeline()
+    for i in range(11):
+        line.feed(RX, packet(100 * i, [32_760] * 100), S + i * 20_000_000)
+    check = EthernetDriver().checks(settings(), line, None, [])["packets"]
+    assert (check.passed, check.note) == (False, line.complaint)
+    assert 'set scaling = "ILD1420"' in check.note
 
 
 def test_a_rate_that_is_changed_ends_the_samples_until_it_is_right_again() -> None:

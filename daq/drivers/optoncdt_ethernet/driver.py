@@ -43,10 +43,13 @@ class EthernetDriver(DisplacementDriver):
     def checks(
         self, settings: EthernetLaser, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
-        """See Driver: the values that the flags of the packets name."""
+        """See Driver: the values that the flags of the packets name, and the reason why samples are not taken."""
         expected = ", ".join(settings.words)
-        doubt: str = pipeline.doubt
-        return {"values": DeviceCheck("others" if doubt else expected, expected, not doubt, doubt)}
+        doubt, complaint = str(pipeline.doubt), str(pipeline.complaint)
+        return {
+            "values": DeviceCheck("others" if doubt else expected, expected, not doubt, doubt),
+            "packets": DeviceCheck("differ" if complaint else "fit", "fit", not complaint, complaint),
+        }
 
     def prepare(self) -> None:
         """See Driver."""
