@@ -472,7 +472,7 @@ def test_packets_of_another_sensor_are_no_rate() -> None:
 
 
 def test_frames_that_wait_are_no_change_of_the_rate() -> None:
-    """Packets arrive 3 s late after a cable was out, or unevenly on a slow network."""
+    """Packets arrive 3 s late after a cable was out, or unevenly on a slow network, or a slow host reads them late."""
     line = pipeline()
     items: list[Batch | DeviceEvent] = []
     for i in range(2000):

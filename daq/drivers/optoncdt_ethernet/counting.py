@@ -17,7 +17,10 @@ _WINDOW_NS = 1_000_000_000
 _LEAST_READS = 10  # of a window, so that its rate is known well enough
 _RIGHT, _WRONG = 0.1, 0.2  # deviations of a window's rate; the rates of the sensor differ by a factor of 1.5 or more
 _SAME = 0.05  # deviation of the windows from each other
-_WINDOWS = 3
+_WINDOWS = 4
+_SENSOR_RATES_HZ = (1500.0, 2500.0, 5000.0, 10_000.0, 20_000.0, 30_000.0, 49_140.0)
+_MOST_REDUCED = 10  # frames of which one is sent, if output reduction is selected
+_NEAR = 0.02  # deviation from a rate that the sensor has
 
 
 class FrameCounter:
@@ -109,8 +112,9 @@ class RateChange:
     """Finds that a sensor was set to another measuring rate while it is read.
 
     The time of a sample is its number times the sampling period, so all later samples would have a wrong time. Frames
-    that wait in a buffer are no change: their rate is not the same for so long. A rate that is wrong from the beginning
-    is not judged here, since the host compares each device's rate with the rig file.
+    that are received late, or are read late by a host under load, do not have the same rate for so long, or have one
+    that the sensor does not have. A rate that is wrong from the beginning is not judged here, since the host compares
+    each device's rate with the rig file.
 
     Args:
         rate_Hz: rate of the rig file, Hz.
@@ -121,6 +125,7 @@ class RateChange:
 
     def __init__(self, rate_Hz: float) -> None:
         self._rate_Hz = rate_Hz
+        self._rates_Hz = (*_SENSOR_RATES_HZ, *(rate_Hz / n for n in range(2, _MOST_REDUCED + 1)))
         self._begin: tuple[int, int] | None = None  # frames, host ns
         self._reads = 0
         self._was_right = False
@@ -154,7 +159,11 @@ class RateChange:
             return False
         self._others.append(rate_Hz)
         mean = sum(self._others) / len(self._others)
-        if len(self._others) < _WINDOWS or any(abs(rate / mean - 1) > _SAME for rate in self._others):
-            return False
-        self.found_Hz = mean
-        return True
+        if len(self._others) == _WINDOWS and self._is_known(mean):
+            self.found_Hz = mean
+        return self.found_Hz != 0.0
+
+    def _is_known(self, mean_Hz: float) -> bool:
+        """Whether all windows have the same rate, and it is one that the sensor has."""
+        same = all(abs(rate - mean_Hz) <= _SAME * mean_Hz for rate in self._others)
+        return same and any(abs(mean_Hz / rate - 1) <= _NEAR for rate in self._rates_Hz)
