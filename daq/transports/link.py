@@ -31,7 +31,7 @@ _MOST_FOREIGN = 16  # senders that are reported
 _DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
-_PROBE_S, _PROBES = 3, 20  # period of the probes of a silent connection, s; unanswered ones until it is lost
+_PROBE_S, _PROBES = 3, 100  # period of the probes of a silent connection, s; unanswered ones until it is lost
 _REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
 
 
