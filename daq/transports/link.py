@@ -31,6 +31,7 @@ _MOST_FOREIGN = 16  # senders that are reported
 _DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
+_PROBE_S, _PROBES = 3, 100  # period of the probes of a silent connection, s; unanswered ones until it is lost
 _REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
 
 
@@ -189,6 +190,19 @@ class SerialLink:
             self._port.close()
 
 
+def _probe_when_silent(connection: socket.socket) -> None:
+    """Let the system probe a silent connection.
+
+    A device that lost power does not close its connection. Once it runs again it rejects the next probe, so that the
+    loss is found after some seconds. A cable may be out for `_PROBES` periods.
+    """
+    with ignoring(_log, "probing a silent connection", OSError):
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in (("TCP_KEEPIDLE", _PROBE_S), ("TCP_KEEPINTVL", _PROBE_S), ("TCP_KEEPCNT", _PROBES)):
+            if (option := getattr(socket, name, None)) is not None:  # not on every system
+                connection.setsockopt(socket.IPPROTO_TCP, option, value)
+
+
 class SocketLink:
     """A device behind a TCP port: a serial server, or a simulated rig on a system without ptys."""
 
@@ -197,6 +211,7 @@ class SocketLink:
         self._socket = socket.create_connection((host, port), timeout=5.0)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            _probe_when_silent(self._socket)
             if self._is_rejected():
                 raise ConnectionRefusedError(
                     "the far end closed the connection at once: it serves one program at a time, and another program "

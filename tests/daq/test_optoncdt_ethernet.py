@@ -256,3 +256,243 @@ def test_words_that_fit_their_scaling_are_no_fault(more: dict[str, Any], words: 
         codes = [word % 2**32 for word in words[at : at + 100]]
         line.feed(RX, packet(at, codes), at * S // 5000)
     assert line.complaint == ""
+
+
+# --- a sensor that loses power, is set otherwise, or counts otherwise ------------------------------------------------
+
+
+MID = 10_000_000  # word of the middle of a range of 20 mm
+
+
+def frames_packet(counter: int, frames: list[list[int]], flags: int = 0) -> bytes:
+    words = np.array(frames, np.uint32)
+    return wire.encode(wire.Packet(4120175, 77, (flags, 0), counter, words))
+
+
+def recorded(items: list[Batch | DeviceEvent]) -> list[int]:
+    return [int(code) for item in items if isinstance(item, Batch) for code in item.columns["code"]]
+
+
+@pytest.mark.parametrize("kept", [28, 28 + 1, 28 + 40, 28 + 188, 28 + 189, 28 + 195])
+@pytest.mark.parametrize("cut", [0, 5, 12, 28, 31, 150])
+def test_a_packet_cut_by_a_lost_connection_gives_no_false_samples(kept: int, cut: int) -> None:
+    """After it the connection begins with a header, which would fill the frames that are missing."""
+    line = pipeline()
+    first, half = packet(1000, [MID] * 50), packet(1050, [MID] * 50)
+    after = packet(0, [MID] * 50) + packet(50, [MID] * 50)
+    data = half[:kept] + after
+    items = line.feed(RX, first, S)
+    items += line.feed(RX, data[: kept + cut], S + 10_000_000) + line.feed(RX, data[kept + cut :], S + 900_000_000)
+    assert recorded(items) == [MID] * 150
+    assert kinds(items).count("restart") == 1
+    assert line.losses["bytes"] == kept
+    assert line.losses["samples"] == 0
+
+
+def test_a_log_of_earlier_rules_is_decoded_as_before() -> None:
+    """Cut packets, flags and counters gave other samples and events then."""
+    old = EthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"clock_rules": 5})
+    items = old.feed(RX, packet(0, [MID] * 50)[:100] + packet(0, [2] * 50), S)
+    assert len(recorded(items)) == 50
+    assert kinds(items) == []
+    assert wire.PREAMBLE in recorded(items)
+    other = frames_packet(50, [[3]], flags=4)
+    assert kinds(old.feed(RX, other, S + 10_000_000)) == []
+
+
+def test_a_counter_ahead_of_time_is_a_restart() -> None:
+    """After five days at 5 kHz the counter is above 2³¹; from there to 0 it steps forward by less than 2³¹."""
+    line = pipeline()
+    for i in range(100):
+        line.feed(RX, packet(2**31 + 2**30 + 50 * i, [MID] * 50), S + i * 10_000_000)
+    restart, batch = line.feed(RX, packet(0, [MID] * 50), 4 * S)
+    assert isinstance(batch, Batch)
+    assert kinds([restart]) == ["restart"]
+    assert line.losses["samples"] == 0
+    assert abs(int(batch.time_ns[-1]) - 4 * S) < 20_000_000
+
+
+def test_packets_that_waited_in_the_sensor_are_no_restart_before_a_gap() -> None:
+    """A cable was out for 5 s: old packets arrive at once, then those after the sensor's buffer was full."""
+    line = pipeline()
+    for i in range(100):
+        line.feed(RX, packet(50 * i, [MID] * 50), S + i * 10_000_000)
+    late = S + 6 * S
+    assert kinds(line.feed(RX, packet(5000, [MID] * 50), late)) == []
+    assert kinds(line.feed(RX, packet(5000 + 24_900, [MID] * 50), late + 1_000_000)) == ["gap"]
+    assert line.losses["samples"] == 24_850
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_counter_of_the_end_of_a_packet_gives_no_false_gaps(end: int) -> None:
+    """The manual does not state whether it counts the frames before a packet or those up to its end."""
+    line = pipeline()
+    sizes = [50, 47, 60, 41, 55, 58, 43, 49] * 4
+    number = 1000
+    items: list[Batch | DeviceEvent] = []
+    for i, size in enumerate(sizes):
+        number += size
+        items += line.feed(RX, packet(number + end, [MID] * size), S + i * 10_000_000)
+    assert kinds(items) == []
+    assert sum(line.losses.values()) == 0
+    (gap, _) = line.feed(RX, packet(number + end + 130, [MID] * 30), S + 2 * S)
+    assert kinds([gap]) == ["gap"]
+    assert line.losses["samples"] == 100
+    assert line.clock_seed is None
+
+
+@pytest.mark.parametrize(("counts", "step", "remedy"), [("frames", 1, "packets"), ("packets", 50, "frames")])
+def test_a_counter_that_counts_otherwise_is_a_fault_with_the_remedy(counts: str, step: int, remedy: str) -> None:
+    """Not a restart, or a loss, with each packet."""
+    line = pipeline(counts=counts)
+    items: list[Batch | DeviceEvent] = []
+    for i in range(8):
+        items += line.feed(RX, packet(7 + step * i, [MID] * 50), S + i * 10_000_000)
+    assert [kind for kind in kinds(items) if kind != "gap"] == ["fault"]
+    assert f'set counts = "{remedy}"' in line.complaint
+    assert len(recorded(items)) <= 150
+
+
+def test_a_counter_of_24_bits_that_wraps_is_no_restart() -> None:
+    """The counter of a frame has 24 bits; at 5 kHz it wraps after 56 minutes."""
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i, counter in enumerate((2**24 - 100, 2**24 - 50, 0, 50)):
+        items += line.feed(RX, packet(counter, [MID] * 50), S + i * 10_000_000)
+    assert kinds(items) == []
+    assert len(recorded(items)) == 200
+    assert kinds(line.feed(RX, packet(0, [MID] * 50), 2 * S)) == ["restart"]
+
+
+def test_losses_are_counted_between_packets_of_any_size() -> None:
+    """A loss as large as the difference of two packets does not change the meaning of the counter."""
+    line = pipeline()
+    for counter, size in ((0, 50), (50, 40), (90, 55), (145, 50)):
+        line.feed(RX, packet(counter, [MID] * size), S)
+    items = line.feed(RX, packet(145 + 60, [MID] * 60), S + 1000)
+    assert kinds(items) == ["gap"]
+    assert line.losses["samples"] == 10
+
+
+def test_frames_of_another_size_are_named() -> None:
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i in range(6):
+        items += line.feed(RX, frames_packet(50 * i, [[1, 2, 3]] * 50), S + i * 10_000_000)
+    assert kinds(items) == ["fault"]
+    assert "its frames have 3 values, expected 1 (words = DIST)" in line.complaint
+    assert recorded(line.feed(RX, packet(300, [7]), 2 * S)) == [7]
+    assert line.complaint == ""
+
+
+@pytest.mark.parametrize("count", [8, 12])
+def test_the_size_of_other_frames_is_found_though_their_number_could_be_one(count: int) -> None:
+    line = pipeline()
+    for i in range(4):
+        line.feed(RX, frames_packet(count * i, [[1, 2, 3]] * count), S + i * 10_000_000)
+    assert "have 3 values" in line.complaint
+
+
+def test_values_selected_while_it_is_read_give_no_samples() -> None:
+    """Of two values in frames of the same size, the other one would be recorded as distance."""
+    line = pipeline(words=["DIST", "STATE"])
+    first = frames_packet(0, [[10_000_000, 1]] * 50, flags=1 << 16)
+    other = frames_packet(50, [[512, 10_000_000]] * 50, flags=1 << 8)
+    assert recorded(line.feed(RX, first, S)) == [MID] * 50
+    items = line.feed(RX, other, S + 10_000_000)
+    assert (kinds(items), recorded(items)) == (["fault"], [])
+    assert "flags 00000100h 00000000h, expected 00010000h" in line.complaint
+    back = line.feed(RX, frames_packet(100, [[10_000_000, 1]] * 50, flags=1 << 16), S + 20_000_000)
+    assert (kinds(back), recorded(back)) == (["gap"], [MID] * 50)
+    assert (line.complaint, line.losses["samples"]) == ("", 50)
+
+
+def test_flags_that_name_other_values_are_reported_once() -> None:
+    """Their meaning is not verified, so the samples are taken all the same."""
+    line = pipeline(words=["DIST", "STATE"])
+    items = line.feed(RX, frames_packet(0, [[512, 10_000_000]] * 50, flags=1 << 8), S)
+    assert kinds(items) == ["doubt"]
+    assert "sends INTENSITY, DIST, expected words = DIST, STATE" in line.doubt
+    assert line.complaint == ""
+    assert kinds(line.feed(RX, frames_packet(50, [[512, 10_000_000]] * 50, flags=1 << 8), S + 10_000_000)) == []
+    checks = EthernetDriver().checks(settings(words=["DIST", "STATE"]), line, None, [])
+    assert [check.passed for check in checks.values()] == [False, True]
+    assert all(check.passed for check in EthernetDriver().checks(settings(), pipeline(), None, []).values())
+
+
+def test_a_check_states_why_no_samples_are_taken() -> None:
+    """Other checks fail too then, such as that of the place in the range, whose advice would be wrong."""
+    line = pipeline()
+    for i in range(11):
+        line.feed(RX, packet(100 * i, [32_760] * 100), S + i * 20_000_000)
+    check = EthernetDriver().checks(settings(), line, None, [])["packets"]
+    assert (check.passed, check.note) == (False, line.complaint)
+    assert 'set scaling = "ILD1420"' in check.note
+
+
+def test_a_rate_that_is_changed_ends_the_samples_until_it_is_right_again() -> None:
+    """The times of samples follow from the rate: at half the rate they would be wrong by 0.5 s after each second."""
+    line = pipeline()
+    counter, items, true_ns = 0, list[Batch | DeviceEvent](), S
+    ends: list[int] = []
+
+    def run(rate_Hz: float, seconds: float) -> list[Batch | DeviceEvent]:
+        nonlocal counter, true_ns
+        out: list[Batch | DeviceEvent] = []
+        for _ in range(int(seconds * 100)):
+            true_ns += 10_000_000
+            size = int(rate_Hz / 100)
+            out += line.feed(RX, packet(counter, [MID] * size), true_ns)
+            counter += size
+        return out
+
+    items += run(5000, 5)
+    assert kinds(items) == []
+    slow = run(2500, 10)
+    assert kinds(slow) == ["fault"]
+    assert "about 2500 Hz, expected 5000 Hz" in line.complaint
+    assert len(recorded(slow)) < 2500 * 5
+    back = run(5000, 5)
+    assert kinds(back) == ["gap", "restart"]
+    ends = [int(item.time_ns[-1]) for item in back if isinstance(item, Batch)]
+    assert ends[-1] == pytest.approx(true_ns, abs=1_000_000)
+    assert line.complaint == ""
+    taken = len(recorded(items + slow + back))
+    assert line.losses["samples"] + taken == counter
+
+
+def test_packets_of_another_sensor_are_no_rate() -> None:
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i in range(1200):
+        serial = 78 if 300 <= i < 900 else 77
+        items += line.feed(RX, packet(50 * i, [MID] * 50, serial), S + i * 10_000_000)
+    assert kinds(items) == ["fault", "gap"]
+    assert line.losses["samples"] == 600 * 50
+
+
+def test_frames_that_wait_are_no_change_of_the_rate() -> None:
+    """Packets arrive 3 s late after a cable was out, or unevenly on a slow network, or a slow host reads them late."""
+    line = pipeline()
+    items: list[Batch | DeviceEvent] = []
+    for i in range(2000):
+        late = 3 * S if 500 <= i < 800 else 400_000_000 * (i % 150) // 150 if i > 1000 else 0
+        due = S + i * 10_000_000
+        items += line.feed(RX, packet(50 * i, [MID] * 50), max(due + late, S + 8 * S) if 500 <= i < 800 else due + late)
+    assert kinds(items) == []
+
+
+@pytest.mark.parametrize(
+    "words", [["DIST"], ["COUNTER", "TIMESTAMP", "DIST"], ["SHUTTER", "INTENSITY", "DIST", "STATE"]]
+)
+def test_a_sensor_is_recognised_with_the_values_that_its_flags_name(words: list[str]) -> None:
+    flags = sum(
+        1 << {"SHUTTER": 2, "COUNTER": 3, "TIMESTAMP": 4, "INTENSITY": 8, "STATE": 16}.get(w, 31) for w in words
+    )
+    flags &= 2**31 - 1
+    data = b"".join(frames_packet(50 * i, [[1] * len(words)] * 50, flags) for i in range(6))
+    found = EthernetDriver().recognise(settings(), data[7:])
+    assert found is not None
+    assert found.settings == {"serial": 77} | ({"words": words} if len(words) > 1 else {})
+    assert EthernetDriver().recognise(settings(words=words), data) == found  # the search reads on with these values
+    assert EthernetDriver().recognise(settings(), frames_packet(0, [[1, 2, 3]] * 50)) is None

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import can
@@ -286,3 +287,17 @@ def test_datagrams_of_others_are_dropped_and_reported_once(caplog: pytest.LogCap
 def test_a_port_of_the_network_that_cannot_be_is_a_lost_link(port: str) -> None:
     with pytest.raises(LinkLost, match="cannot be opened"):
         open_link(port, 0)
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the system does not list the timers of connections")
+def test_a_silent_connection_is_probed() -> None:
+    """A device that lost power does not close its connection; the probe finds out once it runs again."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        link = open_link(f"socket://127.0.0.1:{port}", 0)
+        try:
+            rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+            timers = [row[5].partition(":")[0] for row in rows if row[2].endswith(f":{port:04X}") and row[3] == "01"]
+        finally:
+            link.close()
+    assert timers == ["02"]  # that of the probes

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from daq.drivers.contract import DeviceLine, Pipeline, Talk
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import DeviceLine, Pipeline, SpeedControl, Talk
 from daq.drivers.identification import FoundDevice
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.simulated import FarEnd
+from daq.items import DeviceEvent
 
 
 class EthernetDriver(DisplacementDriver):
@@ -37,6 +39,17 @@ class EthernetDriver(DisplacementDriver):
         from daq.drivers.optoncdt_ethernet.far_end import SimulatedEthernetLaser
 
         return SimulatedEthernetLaser.of(device, settings, world)
+
+    def checks(
+        self, settings: EthernetLaser, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
+        """See Driver: the values that the flags of the packets name, and the reason why samples are not taken."""
+        expected = ", ".join(settings.words)
+        doubt, complaint = str(pipeline.doubt), str(pipeline.complaint)
+        return {
+            "values": DeviceCheck("others" if doubt else expected, expected, not doubt, doubt),
+            "packets": DeviceCheck("differ" if complaint else "fit", "fit", not complaint, complaint),
+        }
 
     def prepare(self) -> None:
         """See Driver."""

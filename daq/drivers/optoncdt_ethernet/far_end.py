@@ -15,7 +15,6 @@ from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
 _ORDER = 4120175
-_FLAGS = (0x1, 0x0)
 
 
 class SimulatedEthernetLaser(FarEnd):
@@ -38,6 +37,7 @@ class SimulatedEthernetLaser(FarEnd):
         self._serial = settings.serial_number or serial
         self._codes = distances.codes_of(settings.scaling)
         self._counter = int(beam.rng.integers(0, wire.COUNTER_WRAP))  # of the next frame, or packet
+        self._flags = wire.flags_of(settings.words)
         self._blocked = False
         self._drop = 0
 
@@ -61,7 +61,7 @@ class SimulatedEthernetLaser(FarEnd):
         words = words[dropped:]
         if not len(words):
             return b""
-        packet = wire.Packet(_ORDER, self._serial, _FLAGS, self._counter % wire.COUNTER_WRAP, words)
+        packet = wire.Packet(_ORDER, self._serial, self._flags, self._counter % wire.COUNTER_WRAP, words)
         self._counter += len(words) if of_frames else 1
         return wire.encode(packet)
 

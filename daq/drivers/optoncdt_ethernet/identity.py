@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from daq.drivers.identification import FoundDevice
 from daq.drivers.optoncdt_ethernet import wire
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 
 
 def recognise(settings: EthernetLaser, data: bytes) -> FoundDevice | None:
-    """Return the serial number in the first packet with frames of the settings' words; see RecognisesBytes."""
-    packets = wire.PacketDecoder(len(settings.words)).feed(data).packets
-    if not packets:
+    """Return the serial number of the first packet, and the values of its frames; see RecognisesBytes.
+
+    The values are those of the settings if these fit the frames, otherwise those that the packet's flags name.
+    """
+    words = settings.words
+    decoded = wire.PacketDecoder(len(words)).feed(data)
+    if not decoded.packets and (words := _named_values(decoded.misfits)):
+        decoded = wire.PacketDecoder(len(words)).feed(data)
+    if not decoded.packets:
         return None
-    first = packets[0]
-    return FoundDevice({"serial": first.serial}, {"order": first.order, "serial": first.serial})
+    first = decoded.packets[0]
+    identity: dict[str, int] = {"order": first.order, "serial": first.serial}
+    return FoundDevice({"serial": first.serial} | ({"words": list(words)} if len(words) > 1 else {}), identity)
+
+
+def _named_values(misfits: Sequence[wire.Misfit]) -> tuple[str, ...]:
+    """Return the values that the flags of the headers name, if the frames have so many, otherwise none."""
+    size = wire.FrameSize().feed(misfits)
+    words = wire.values_named(misfits[-1].flags) if misfits else ()
+    return words if size == 4 * len(words) else ()

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.optoncdt_ethernet import distances, wire
+from daq.drivers.optoncdt_ethernet.counting import FrameCounter, LeastDelay, RateChange
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.items import TX, Batch, DeviceEvent
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
-_RESTART_FRAMES = 2**31  # a larger step of the counter is one backwards: the sensor started again
+_CHECKED_RULES = 6  # from which cut packets, other frames, flags and rates, and impossible counters are recognised
 
 Items = list[Batch | DeviceEvent]
 
@@ -30,7 +31,8 @@ class EthernetPipeline:
 
     Attributes:
         losses: see Pipeline. "samples": missing by the counter; "bytes": skipped; "invalid": error codes.
-        has_reported, complaint: see DescribesItself; the packets have the sensor's serial number.
+        has_reported, complaint: see DescribesItself; the packets have the sensor's serial number, the size of a frame,
+            and flags that depend on the selected values.
     """
 
     def __init__(
@@ -39,21 +41,28 @@ class EthernetPipeline:
         self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0}
         self.has_reported: bool = False
         self.complaint: str = ""
+        self.doubt: str = ""
         self._device, self._channel, self._settings = device, channel, settings
         self._place = settings.words.index("DIST")
         self._period_ns = 1e9 / settings.rate_Hz
-        self._decoder = wire.PacketDecoder(len(settings.words))
         self._rules = clock_rules(identity)
+        self._checks = self._rules >= _CHECKED_RULES
+        self._decoder = wire.PacketDecoder(len(settings.words), finds_cuts=self._checks)
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
         known = identity.get("serial")
         self._wanted = settings.serial_number or (
             known if isinstance(known, int) else 0
         )  # serial number; 0: the first one
         self._serial: tuple[int, int] | None = None  # order and serial number
-        self._counter: int | None = None  # counter of the newest packet
-        self._previous = 0  # number of its frames
-        self._next = 0  # number of the next sample
-        self._joined = False
+        self._flags: list[tuple[int, int]] = []  # of the first and of the newest packet of the wanted sensor
+        self._frame_size = wire.FrameSize()
+        self._counter = FrameCounter(settings.counts, is_open=self._checks)
+        self._delay = LeastDelay()
+        self._rate = RateChange(settings.rate_Hz)
+        self._next: int | None = None  # number of the next sample
+        self._refused = 0  # samples that were not taken, since their rate is another one
+        self._joined = self._misfits = False
+        self._skips = False  # whether packets are skipped because of the complaint
         self._watch = distances.ScalingWatch(settings.scaling, settings.range_m)
 
     @property
@@ -69,93 +78,165 @@ class EthernetPipeline:
     @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
-        return (
-            None if self._settings.counts == "packets" else self._clock.seed(round(wire.COUNTER_WRAP * self._period_ns))
-        )
+        if self._settings.counts == "packets" or self._counter.of_end:
+            return None  # the counter of the next log's first packet does not give the number of its first sample
+        return self._clock.seed(round(wire.COUNTER_WRAP * self._period_ns))
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         if direction == TX:
             return []
         found = self._decoder.feed(data)
-        out: Items = []
-        if found.skipped_bytes and self._joined:
-            self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+        out: Items = self._skipped(found)
         numbers: list[NDArray[np.int64]] = []
         words: list[NDArray[np.uint32]] = []
         for packet in found.packets:
             self._joined = True
             out += self._identified(packet)
-            if self.complaint:
+            if self._skips:
                 continue
-            gap = self._gap(packet)
+            gap = self._gap(packet, host_ns)
             if gap and words:
                 out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
                 numbers, words = [], []
             out += gap
             out += self._doubted(packet)
-            if self.complaint:
+            first, count = self._next or 0, len(packet.frames)
+            self._next = first + count
+            if self.complaint or self._rate.found_Hz:
+                self._refused += count if self._rate.found_Hz else 0
                 continue
-            count = len(packet.frames)
-            numbers.append(np.arange(self._next, self._next + count))
+            numbers.append(np.arange(first, first + count))
             words.append(packet.frames[:, self._place])
-            self._next += count
         if words:
             out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
+        if found.packets and self._next is not None and self._checks and not self._skips:
+            self._delay.feed(self._next * self._period_ns, host_ns)
+            out += self._rated(self._next, host_ns)
         return out
 
+    def _skipped(self, found: wire.DecodedPackets) -> Items:
+        """Report bytes that belong to no packet, and once a sensor whose frames have another size than `words`."""
+        out: Items = []
+        if found.skipped_bytes and self._joined:
+            self.losses["bytes"] += found.skipped_bytes
+            text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
+            if not self._misfits:
+                out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+        if found.packets:
+            self._frame_size.clear()
+        elif self._checks and not self._misfits and (size := self._frame_size.feed(found.misfits)) is not None:
+            self._misfits = True
+            names = ", ".join(self._settings.words)
+            text = (
+                f"its frames have {size / 4:g} values, expected {len(self._settings.words)} (words = {names}): name "
+                "all values that are selected on the sensor's web page in their order, or select these alone"
+            )
+            out += self._complain(text, {"frame_bytes": size})
+        return out
+
+    def _complain(self, text: str, facts: dict[str, Any], *, skips: bool = True) -> Items:
+        self.has_reported, self.complaint, self._skips = True, text, skips
+        self._rate.clear()
+        return [DeviceEvent("fault", self._device, text, facts)]
+
     def _identified(self, packet: wire.Packet) -> Items:
-        """Compare the sensor's serial number with the rig file's; no samples are taken of another sensor."""
+        """Compare the sensor's serial number with the rig file's, and its flags with those of its first packet.
+
+        No samples are taken of another sensor, nor after other values were selected, since the distance may have
+        another place in the frame.
+        """
         own = packet.order, packet.serial
-        if own == self._serial:
+        if own == self._serial and not self._misfits and (packet.flags == self._flags[-1] or not self._checks):
             return []
+        self._misfits = False
         self._serial, self.has_reported = own, True
+        self._flags = [*self._flags[:1], packet.flags]
         self._wanted = self._wanted or packet.serial
-        self.complaint = (
-            f"the sensor has serial number {packet.serial}, expected {self._wanted}, that of the rig file or of the "
-            "sensor before: look at its port"
-            if packet.serial != self._wanted
-            else ""
-        )
-        if not self.complaint:
+        self.complaint, self._skips = "", False
+        if packet.serial != self._wanted:
+            self._flags = [packet.flags]
+            return self._complain(
+                f"the sensor has serial number {packet.serial}, expected {self._wanted}, that of the rig file or of "
+                "the sensor before: look at its port",
+                {"serial": packet.serial},
+            )
+        if self._checks and packet.flags != self._flags[0]:
+            return self._complain(
+                f"the sensor's settings were changed: its packets have the flags {_hex(packet.flags)}, expected "
+                f"{_hex(self._flags[0])}, those of its first packet. Select the values and the rate as before, or "
+                "correct the rig file and begin again",
+                {"flags_1": packet.flags[0], "flags_2": packet.flags[1]},
+            )
+        return self._named(packet.flags) if self._checks and not self.doubt else []
+
+    def _named(self, flags: tuple[int, int]) -> Items:
+        """Report once that the flags name other values than the rig file. The samples are taken all the same."""
+        words = self._settings.words
+        if self._settings.scaling != distances.NANOMETRES or not wire.contradicts(flags, words):
             return []
-        return [DeviceEvent("fault", self._device, self.complaint, {"serial": packet.serial})]
+        self.doubt = (
+            f"by its flags the sensor sends {', '.join(wire.values_named(flags))}, expected words = {', '.join(words)}"
+            ": compare with its web page, since another value may be recorded as distance"
+        )
+        return [DeviceEvent("doubt", self._device, self.doubt, {"flags_1": flags[0], "flags_2": flags[1]})]
 
     def _doubted(self, packet: wire.Packet) -> Items:
-        """Take no samples whose scaling is wrong: the amplitude would be too small by a factor of some hundred."""
-        found = self._watch.contradiction(packet.frames[:, self._place])
-        if not found:
-            return []
-        self.has_reported, self.complaint = True, found
-        return [DeviceEvent("fault", self._device, found, {"scaling": self._settings.scaling})]
+        """Take no samples whose scaling is wrong, by a factor of some hundred, or whose counter counts otherwise."""
+        if found := self._watch.contradiction(packet.frames[:, self._place]):
+            return self._complain(found, {"scaling": self._settings.scaling})
+        if (found := self._counter.contradiction) and not self.complaint:
+            return self._complain(found, {"counts": self._settings.counts})
+        return []
 
-    def _gap(self, packet: wire.Packet) -> Items:
+    def _gap(self, packet: wire.Packet, host_ns: int) -> Items:
         """Return the event about samples missing before a packet, and set the number of its first sample."""
-        before, self._counter = self._counter, packet.counter
-        of_frames = self._settings.counts == "frames"
-        expected, self._previous = (self._previous if of_frames else 1), len(packet.frames)
-        if before is None:
+        of_frames, count = self._settings.counts == "frames", len(packet.frames)
+        if self._next is None:
             self._next = packet.counter if of_frames else 0  # the clock continues from one log to the next
-            return []
-        missing = (packet.counter - before) % wire.COUNTER_WRAP - expected
+        missing = self._counter.missing(packet.counter, count)
         if missing == 0:
             return []
-        if missing < 0 or missing >= _RESTART_FRAMES:
-            self._clock = ClockMap(self._settings.clock_tolerance_ppm, self._rules)
-            self._next = packet.counter if of_frames else self._next
-            return [DeviceEvent("restart", self._device, "its counter does not continue: the sensor started again")]
-        lost = missing if of_frames else missing * self._previous
-        self.losses["samples"] += lost
+        lost = 0 if missing is None else missing if of_frames else missing * count
+        end_ns = (self._next + lost + count) * self._period_ns
+        if missing is None or (self._checks and not self._delay.is_possible(end_ns, host_ns)):
+            if of_frames:
+                self._next = packet.counter
+            return self._restarted("its counter does not continue: the sensor started again")
         self._next += lost
+        return [self._lost(lost, 0 if of_frames else missing)]
+
+    def _restarted(self, text: str) -> Items:
+        self._clock = ClockMap(self._settings.clock_tolerance_ppm, self._rules)
+        self._delay.clear()
+        self._rate.clear()
+        return [DeviceEvent("restart", self._device, text)]
+
+    def _lost(self, lost: int, uncertain: int, why: str = "lost") -> DeviceEvent:
+        """Count samples that are missing before the next one."""
+        self.losses["samples"] += lost
         span = lost * self._period_ns * 1e-9
-        about = "" if of_frames else "about "
-        text = f"{about}{lost} samples lost ({span * 1e3:.2f} ms)"
         facts: dict[str, Any] = {"samples": lost, "span_s": span}
-        if not of_frames:
-            facts["uncertain_samples"] = missing
-        return [DeviceEvent("gap", self._device, text, facts)]
+        if uncertain:
+            facts["uncertain_samples"] = uncertain
+        text = f"{'about ' if uncertain else ''}{lost} samples {why} ({span * 1e3:.2f} ms)"
+        return DeviceEvent("gap", self._device, text, facts)
+
+    def _rated(self, frames: int, host_ns: int) -> Items:
+        """Take no samples while the sensor measures at another rate than before, since their times would be wrong."""
+        if not self._rate.feed(frames, host_ns):
+            return []
+        if self._rate.found_Hz:
+            text = (
+                f"its measuring rate was changed some seconds ago: about {self._rate.found_Hz:.0f} Hz, expected "
+                f"{self._settings.rate_Hz:g} Hz. Set the rate as before, or correct rate_Hz and begin again"
+            )
+            facts = {"rate_Hz": self._rate.found_Hz, "nominal_Hz": self._settings.rate_Hz}
+            return self._complain(text, facts, skips=False)
+        self.complaint = ""
+        refused, self._refused = self._refused, 0
+        gap = self._lost(refused, 0, "not taken, since their rate was another one")
+        return [gap, *self._restarted("it measures at the rate of the rig file again")]
 
     def _batch(self, number: NDArray[np.int64], code: NDArray[np.uint32], host_ns: int) -> Batch:
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
@@ -172,3 +253,7 @@ class EthernetPipeline:
             "flags": np.zeros(len(code), np.uint32),
         }
         return Batch(self._channel, time_ns, counter, columns)
+
+
+def _hex(flags: tuple[int, int]) -> str:
+    return " ".join(f"{word:08X}h" for word in flags)

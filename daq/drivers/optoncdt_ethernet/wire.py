@@ -6,7 +6,9 @@ Source: docs/protocols/optoncdt_ethernet.md, which also states what is not verif
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,48 @@ MOST_FRAMES = 8192
 _HEADER = struct.Struct("<IIIIIHHI")
 HEADER_BYTES = _HEADER.size
 _PREAMBLE_BYTES = PREAMBLE.to_bytes(4, "little")
+_OWN_BYTES = 12  # of a header that are the same in every packet of a sensor: preamble, order and serial number
+
+_VALUE_BITS = {
+    "SHUTTER": 2,
+    "COUNTER": 3,
+    "TIMESTAMP": 4,
+    "TEMP": 5,
+    "INTENSITY": 8,
+    "DIST": None,
+    "STATE": 16,
+    "TRIGCNT": 19,
+}
+"""Bits of the first word of flags, in the order of the values in a frame. The distance is always there."""
+
+
+def flags_of(words: Collection[str]) -> tuple[int, int]:
+    """Return the flags of packets whose frames have these values."""
+    return sum(1 << bit for name, bit in _VALUE_BITS.items() if bit is not None and name in words), 0
+
+
+def values_named(flags: tuple[int, int]) -> tuple[str, ...]:
+    """Return the values of a frame that the flags of a packet name, in their order."""
+    return tuple(name for name, bit in _VALUE_BITS.items() if bit is None or flags[0] >> bit & 1)
+
+
+def contradicts(flags: tuple[int, int], words: Collection[str]) -> bool:
+    """Whether the flags of a packet name other values than these; names that flags do not know are left out."""
+    return {*values_named(flags)} != {*words} & _VALUE_BITS.keys()
+
+
+class Misfit(NamedTuple):
+    """Header of a packet whose frames have another size than the decoder's.
+
+    Attributes:
+        order, serial, flags: see Packet.
+        sizes: number of frames and bytes of a frame, as received; the order may be the other one.
+    """
+
+    order: int
+    serial: int
+    flags: tuple[int, int]
+    sizes: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -40,10 +84,17 @@ class Packet:
 
 @dataclass
 class DecodedPackets:
-    """Packets of one read, and the number of bytes between them that belong to none."""
+    """Packets of one read.
+
+    Attributes:
+        packets: the packets.
+        skipped_bytes: number of bytes between them that belong to none.
+        misfits: headers whose frames have another size.
+    """
 
     packets: list[Packet] = field(default_factory=list[Packet])
     skipped_bytes: int = 0
+    misfits: list[Misfit] = field(default_factory=list[Misfit])
 
 
 def encode(packet: Packet) -> bytes:
@@ -59,10 +110,13 @@ class PacketDecoder:
     Args:
         words: number of words of a frame. The manual's figures disagree on the order of the number of frames and the
             number of bytes of a frame; the order is the one that fits the words.
+        finds_cuts: whether a packet that ends early, since its connection broke, is skipped. Otherwise the header of
+            the next packet is read as frames.
     """
 
-    def __init__(self, words: int) -> None:
+    def __init__(self, words: int, *, finds_cuts: bool = True) -> None:
         self._frame_bytes = 4 * words
+        self._finds_cuts = finds_cuts
         self._rest = b""
 
     def feed(self, data: bytes) -> DecodedPackets:
@@ -80,10 +134,15 @@ class PacketDecoder:
             _, order, serial, first, second, a, b, counter = _HEADER.unpack_from(stream, at)
             count = self._frames(a, b)
             if count is None:
+                found.misfits.append(Misfit(order, serial, (first, second), (a, b)))
                 found.skipped_bytes += 1
                 at += 1
                 continue
             end = at + HEADER_BYTES + count * self._frame_bytes
+            if (cut := self._cut(stream, at, end)) is not None:
+                found.skipped_bytes += cut - at
+                at = cut
+                continue
             if end > len(stream):
                 break
             words = np.frombuffer(stream[at + HEADER_BYTES : end], "<u4").astype(np.uint32).reshape(count, -1)
@@ -96,3 +155,48 @@ class PacketDecoder:
         """Return the number of frames of a packet; None if neither number is that of the bytes of a frame."""
         count = a if b == self._frame_bytes else b if a == self._frame_bytes else None
         return count if count is not None and 0 < count <= MOST_FRAMES else None
+
+    def _cut(self, stream: bytes, at: int, end: int) -> int | None:
+        """Return the place of the next header of the same sensor within a packet; None if the packet has none."""
+        if not self._finds_cuts:
+            return None
+        own = stream[at : at + _OWN_BYTES]
+        place = stream.find(own, at + HEADER_BYTES, end)
+        if place >= 0:
+            return place
+        if end > len(stream):
+            return None
+        begun = (n for n in range(_OWN_BYTES - 1, len(_PREAMBLE_BYTES) - 1, -1) if stream.endswith(own[:n], at, end))
+        return next((end - n for n in begun), None)
+
+
+class FrameSize:
+    """Finds the size of the frames of a sensor whose packets do not fit the rig file, from its headers.
+
+    A preamble may occur by chance; `_CERTAIN` headers with the same order and serial number do not.
+    """
+
+    _CERTAIN = 4
+
+    def __init__(self) -> None:
+        self._own = (0, 0)
+        self._headers = 0
+        self._sizes: set[int] = set()
+
+    def clear(self) -> None:
+        """Discard the headers, since a packet fits."""
+        self._headers = 0
+
+    def feed(self, misfits: Iterable[Misfit]) -> int | None:
+        """Take the next headers; return the size of a frame in bytes once it is certain, otherwise None.
+
+        Of two possible sizes the second one is taken, as in the manual's figure of the header.
+        """
+        for header in misfits:
+            if (header.order, header.serial) != self._own or not self._headers:
+                self._own, self._headers, self._sizes = (header.order, header.serial), 0, {*header.sizes}
+            self._headers += 1
+            self._sizes = self._sizes & {*header.sizes} or {*header.sizes}
+            if self._headers >= self._CERTAIN:
+                return next((size for size in header.sizes[::-1] if size in self._sizes and size % 4 == 0 < size), None)
+        return None
