@@ -55,7 +55,7 @@ def test_trigger_and_averaging_of_an_earlier_session_are_switched_off() -> None:
 
 
 def test_a_sensor_without_these_commands_is_accepted() -> None:
-    lacks = dict.fromkeys(("TRIGGER", "AVERAGE", "OUTHOLD", "OUTREDUCEDEVICE", "MASTERMV"), "E210 Unknown command")
+    lacks = {name: "E210 Unknown command" for name in ("TRIGGER", "AVERAGE", "OUTHOLD", "OUTREDUCEDEVICE", "MASTERMV")}
     assert "warning" not in HandMadeLaser(answers=lacks).set_up()
 
 

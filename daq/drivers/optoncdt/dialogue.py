@@ -182,8 +182,8 @@ def _check_line(device: str, config: Laser, words: Sequence[str]) -> None:
     most = config.baud / (len(words) * _BITS_PER_WORD)
     raise DeviceError(
         f"{device}: {len(words)} output words at {config.rate_Hz:g} Hz need {needed:.0f} baud, its line has "
-        f"{config.baud}: the sensor would send error codes instead of distances. Set devices.{device}.rate_Hz to a rate "
-        f"of its model up to {most:.0f} Hz, or a higher baud rate in sensor and rig file"
+        f"{config.baud}: the sensor would send error codes instead of distances. Set devices.{device}.rate_Hz to a "
+        f"rate of its model up to {most:.0f} Hz, or a higher baud rate in sensor and rig file"
     )
 
 
