@@ -88,6 +88,14 @@ def test_silence_and_a_gap_are_no_sign() -> None:
     assert stream.send(100_800 + 36_000, 20) == ""
 
 
+def test_single_answers_of_a_sensor_that_does_not_stream_are_no_sign() -> None:
+    stream = Stream()
+    for _ in range(10):
+        stream.now_ns += 2_000_000_000
+        stream.pipeline.feed(RX, b"OUTPUT NONE ok\r\n->", stream.now_ns)
+    assert stream.sign == ""
+
+
 # --- what a session does about it ------------------------------------------------------------------------------------
 
 

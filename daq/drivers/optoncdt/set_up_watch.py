@@ -13,6 +13,7 @@ from daq.items import Batch, DeviceEvent
 
 _START = b"OUTPUT RS422"
 _MAX_BARREN_NS = 2_000_000_000  # bytes without a sample: as long as the session waits for a silent device
+_MAX_PAUSE_NS = 500_000_000  # longest silence in a stream; answers of a sensor that does not stream are farther apart
 
 
 class SetUpWatch:
@@ -25,12 +26,12 @@ class SetUpWatch:
     def __init__(self) -> None:
         self.lost: str = ""
         self._is_starting = False  # the set-up itself may restart counter and timestamp
-        self._barren_since_ns: int | None = None
+        self._barren_ns: tuple[int, int] | None = None  # first and newest read of a stream without samples
 
     def sent(self, data: bytes) -> None:
         """Take bytes sent to the sensor."""
         if _START in data:
-            self.lost, self._is_starting, self._barren_since_ns = "", True, None
+            self.lost, self._is_starting, self._barren_ns = "", True, None
 
     def received(self, data: bytes, items: Sequence[Batch | DeviceEvent], host_ns: int) -> None:
         """Take bytes of the sensor and the items that they gave.
@@ -45,9 +46,11 @@ class SetUpWatch:
             elif item.kind == "restart" and not self._is_starting:
                 self.lost = "its counter and timestamp started again, so it may have lost power and its settings"
         if has_samples:
-            self._barren_since_ns = None
+            self._barren_ns = None
         elif data:
-            if self._barren_since_ns is None:
-                self._barren_since_ns = host_ns
-            elif host_ns - self._barren_since_ns > _MAX_BARREN_NS and not self.lost:
+            first_ns, newest_ns = self._barren_ns or (host_ns, host_ns)
+            if host_ns - newest_ns > _MAX_PAUSE_NS:
+                first_ns = host_ns
+            self._barren_ns = first_ns, host_ns
+            if host_ns - first_ns > _MAX_BARREN_NS and not self.lost:
                 self.lost = "it sends bytes that give no samples, so it may have other settings"
