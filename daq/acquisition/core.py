@@ -352,7 +352,7 @@ class Core:
         )
 
     def restored(self, device: str, now_ns: int) -> Iterator[Order]:
-        """Record that a device is set up again that sent something else than it was set up for."""
+        """Record that a device is set up again which was silent or sent something else."""
         self.rates.restart(device)
         yield Note(DeviceEvent("set_up", HOST, f"{device}: set up again", {"of": device}), now_ns)
 
