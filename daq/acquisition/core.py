@@ -159,7 +159,7 @@ class Core:
         self._heard_ns: dict[str, int] = {}
         self.mute: set[str] = set()
         self._suspect: set[str] = set()
-        self._told: dict[str, str] = {}  # devices in `altered`, as reported
+        self._altered_before: dict[str, str] = {}  # devices in `altered`, as reported
         self._watch_ns = self._health_ns = 0
         self._dropped_ns: int | None = None
         self._disk_slow = False
@@ -462,11 +462,11 @@ class Core:
         """Warn of devices that send, but no longer as they were set up."""
         found = self.altered if self.commanding and self.guarding else {}
         for name, sign in found.items():
-            if self._told.get(name) != sign:
+            if self._altered_before.get(name) != sign:
                 text = f"{name}: {sign}. It is set up again while the rotor is at rest"
                 yield Note(DeviceEvent("altered", HOST, text, {"of": name}), now_ns)
                 yield from self.warn(text)
-        self._told = found
+        self._altered_before = found
 
     # --- state ---------------------------------------------------------------------------------------------------
 

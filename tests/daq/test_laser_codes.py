@@ -15,7 +15,7 @@ from tests.daq.test_rig_check import checked, failed
 
 
 @pytest.mark.parametrize(("code", "meaning"), [(262076, "no peak"), (262082, "laser is off"), (262090, "")])
-def test_the_driver_knows_the_codes_of_the_manual(code: int, meaning: str) -> None:
+def test_the_driver_has_the_codes_of_the_manual(code: int, meaning: str) -> None:
     assert isinstance(DRIVER, NamesCodes)
     assert DRIVER.code_meaning(code) == meaning
 

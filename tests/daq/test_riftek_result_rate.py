@@ -1,4 +1,4 @@
-"""A sensor that streams at another rate than it was set to is noticed, whatever its packets' numbers suggest."""
+"""A sensor that streams at another rate than it was set to is noticed, also if its packets' numbers continue."""
 
 from __future__ import annotations
 

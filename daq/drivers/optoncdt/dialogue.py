@@ -33,11 +33,11 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     its counter and timestamp may not continue. The stream is therefore stopped until the line is silent.
 
     Returns:
-        Identity: name, serial, version, range_m, scaling, words; warning, if a filter or a trigger may be active.
+        Identity: name, serial, version, range_m, scaling, words; warning, if a filter or a trigger may be active or
+            the line is too slow for the rate.
 
     Raises:
-        DeviceError: the sensor does not answer, refuses a command, or differs from the rig file, or the line is too
-            slow for the rate.
+        DeviceError: the sensor does not answer, refuses a command, or differs from the rig file.
     """
     if not stop_stream(talk, b"OUTPUT NONE\n"):
         raise DeviceError(
@@ -64,8 +64,9 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     dialogue.command(f"MEASRATE {config.rate_Hz / 1000:g}")
     dialogue.command("OUTADD_RS422 COUNTER TIMESTAMP")
     words = config.output_words or _output_words(device, dialogue.command("GETOUTINFO_RS422"))
-    _check_line(device, config, words)
     dialogue.command("OUTPUT RS422")
+    if slow := _slow_line(device, config, words):
+        doubts.append(slow)
     warning = {"warning": ". ".join(doubts)} if doubts else {}
     return {**info, "scaling": scaling, "words": list(words), **warning}
 
@@ -174,16 +175,16 @@ class _Dialogue:
         return f"{self._device} on {self._config.port}: no answer to {text!r} within {waited}. {advice}"
 
 
-def _check_line(device: str, config: Laser, words: Sequence[str]) -> None:
-    """Raise DeviceError if the line is too slow for the stream: the sensor would send error codes only."""
+def _slow_line(device: str, config: Laser, words: Sequence[str]) -> str:
+    """Return a warning if the stated baud rate does not carry the stream; otherwise empty."""
     needed = len(words) * _BITS_PER_WORD * config.rate_Hz
     if needed <= config.baud:
-        return
+        return ""
     most = config.baud / (len(words) * _BITS_PER_WORD)
-    raise DeviceError(
-        f"{device}: {len(words)} output words at {config.rate_Hz:g} Hz need {needed:.0f} baud, its line has "
-        f"{config.baud}: the sensor would send error codes instead of distances. Set devices.{device}.rate_Hz to a "
-        f"rate of its model up to {most:.0f} Hz, or a higher baud rate in sensor and rig file"
+    return (
+        f"{len(words)} output words at {config.rate_Hz:g} Hz need {needed:.0f} baud, devices.{device}.baud is "
+        f"{config.baud}: the sensor sends error codes instead of distances then. Set a rate of its model up to "
+        f"{most:.0f} Hz, or a higher baud rate in sensor and rig file"
     )
 
 
