@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from daq.acquisition.channel_watch import HOST
@@ -20,7 +20,7 @@ from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.trips import Trips
-from daq.drivers.contract import Pipeline
+from daq.drivers.contract import NamesCodes, NoticesLostSetUp, Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, Batch, DeviceEvent
@@ -159,6 +159,7 @@ class Core:
         self._heard_ns: dict[str, int] = {}
         self.mute: set[str] = set()
         self._suspect: set[str] = set()
+        self._altered_before: dict[str, str] = {}  # devices in `altered`, as reported
         self._watch_ns = self._health_ns = 0
         self._dropped_ns: int | None = None
         self._disk_slow = False
@@ -182,6 +183,9 @@ class Core:
         Returns:
             Content of the pre-trigger for the log: bytes with their samples, and the event that ended the run.
         """
+        for name, sign in self.altered.items():
+            if isinstance(pipeline := pipelines[name], NoticesLostSetUp):
+                pipeline.set_up_lost = sign  # from bytes before this log
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
         self.recent.clear()
@@ -276,11 +280,20 @@ class Core:
         """Convert findings of the interlocks to orders."""
         for item in found:
             if isinstance(item, DeviceEvent):
-                yield Note(item, host_ns)
+                yield Note(self._explained(item), host_ns)
             elif self.guarding and self.commanding and not self.lenient:
                 yield from self._tripped(item, host_ns)
             elif self.guarding:
                 yield from self.warn(item.text)
+
+    def _explained(self, event: DeviceEvent) -> DeviceEvent:
+        """Add the meaning of the code to the event that a sensor sends only codes."""
+        device, code = self._known.get(str(event.facts.get("of"))), event.facts.get("code")
+        if event.kind != "blind" or device is None or not event.text.endswith(f"code {code}"):
+            return event
+        if not isinstance(device.driver, NamesCodes) or not (meaning := device.driver.code_meaning(int(code or 0))):
+            return event
+        return replace(event, text=f"{event.text} ({meaning})")
 
     def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Order]:
         """Add a stop to the trip. The first one ends the run."""
@@ -338,6 +351,11 @@ class Core:
             DeviceEvent("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns
         )
 
+    def restored(self, device: str, now_ns: int) -> Iterator[Order]:
+        """Record that a device is set up again which was silent or sent something else."""
+        self.rates.restart(device)
+        yield Note(DeviceEvent("set_up", HOST, f"{device}: set up again", {"of": device}), now_ns)
+
     def warn(self, text: str) -> Iterator[Order]:
         """Show a warning to the operator once, and keep it in `notices`."""
         if text not in self.notices:
@@ -386,6 +404,7 @@ class Core:
         if now_ns >= self._watch_ns:
             self._watch_ns = now_ns + round(self._patience(_WATCH_PERIOD_S) * 1e9)
             yield from self._look_for_silence(now_ns)
+            yield from self._look_for_lost_set_ups(now_ns)
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
             facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
@@ -439,7 +458,27 @@ class Core:
             yield Note(DeviceEvent("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = silent, (self.mute | certain) & silent
 
+    def _look_for_lost_set_ups(self, now_ns: int) -> Iterator[Order]:
+        """Warn of devices that send, but no longer as they were set up."""
+        found = self.altered if self.commanding and self.guarding else {}
+        for name, sign in found.items():
+            if self._altered_before.get(name) != sign:
+                text = f"{name}: {sign}. It is set up again while the rotor is at rest"
+                yield Note(DeviceEvent("altered", HOST, text, {"of": name}), now_ns)
+                yield from self.warn(text)
+        self._altered_before = found
+
     # --- state ---------------------------------------------------------------------------------------------------
+
+    @property
+    def altered(self) -> dict[str, str]:
+        """Devices with an open link that send, but no longer as they were set up, each with what shows it."""
+        found = {
+            name: pipeline.set_up_lost
+            for name, pipeline in self.pipelines.items()
+            if isinstance(pipeline, NoticesLostSetUp)
+        }
+        return {name: sign for name, sign in found.items() if sign and name not in self.gone and name not in self.mute}
 
     @property
     def calm(self) -> bool:

@@ -229,18 +229,20 @@ class Links:
     # --- devices that return -------------------------------------------------------------------------------------
 
     def attend(self, command: RotorCommand | None) -> Iterator[Order]:
-        """Try to reopen devices that were unplugged or have lost power.
+        """Try to reopen devices that were unplugged or have lost power, and set up those that have lost their settings.
 
-        The method is called in the waits of the session, so that no second thread talks to a device. Devices that
-        stream again without a command are not set up. While a commanded rotor turns, no attempt is made, since a
-        dialogue would delay a stop.
+        The method is called in the waits of the session, so that no second thread talks to a device. While a commanded
+        rotor turns, no attempt is made, since a dialogue would delay a stop.
 
         Args:
             command: rotor command of the session; None for sessions that only receive.
         """
         core = self._core
-        mute = core.mute if command is not None else ()
-        if not (core.gone or mute) or self._attending or self._clock.wall_s() < self._retry_at_s:
+        if self._attending or self._clock.wall_s() < self._retry_at_s:
+            return
+        mute = core.mute if command is not None else set[str]()
+        altered = set(core.altered) if command is not None and core.guarding else set[str]()
+        if not (core.gone or mute or altered):
             return
         if command is not None and command.turning():
             return
@@ -248,9 +250,9 @@ class Links:
         try:
             for name in list(core.gone):
                 yield from self.reopened(name, command)
-            for name in sorted(mute):
-                if command is not None and name not in self.refused:
-                    yield from self._woken(name, command)
+            for name in sorted(mute | altered):
+                if command is not None and name not in self.refused and (yield from self._woken(name, command)):
+                    yield from core.restored(name, self._clock.now_ns())
         finally:
             self._attending = False
             self._retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
@@ -283,16 +285,29 @@ class Links:
             yield from self._core.back(name, port, self._clock.now_ns())
             return
 
-    def _woken(self, name: str, command: RotorCommand) -> Iterator[Order]:
-        """Set up a device with an open link that sends nothing, since it may have lost power."""
+    def _woken(self, name: str, command: RotorCommand) -> Generator[Order, None, bool]:
+        """Set up a device with an open link that sends nothing or something else, since it may have lost power.
+
+        Another device in its place is stopped: its samples must not be recorded as those of the known one.
+
+        Returns:
+            Whether it is set up.
+        """
+        device, heard = self._devices[name], self._readers[name].bytes_in
         try:
             self._set_up_again(name, command)
         except LinkLost as error:
             self._lost(name, error)
         except _AnotherDevice as error:
+            with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
+                stop_device(device.driver, device.settings, self._talk(name))
             yield from self._refused(name, str(error))
-        except DeviceError:  # usual: the device is still silent
-            return
+        except DeviceError as error:
+            if self._readers[name].bytes_in != heard:  # otherwise it is still silent, which was reported
+                yield from self._refused(name, str(error))
+        else:
+            return True
+        return False
 
     def _set_up_again(self, name: str, command: RotorCommand) -> None:
         """Open a device again. Its poller pauses meanwhile, since the dialogue ends what the requests expect.

@@ -108,6 +108,20 @@ class DescribesItself(Protocol):
 
 
 @runtime_checkable
+class NoticesLostSetUp(Protocol):
+    """A pipeline that recognises a device which sends, but no longer as it was set up, for example after a power cut.
+
+    The session opens such a device again, as it does with a silent one.
+
+    Attributes:
+        set_up_lost: what shows it, a clause for the operator; empty if the bytes are as expected. The bytes sent by
+            `Driver.open` reset it.
+    """
+
+    set_up_lost: str
+
+
+@runtime_checkable
 class HasClockSeed(Protocol):
     """A pipeline that maps its device's clock. The next log starts with this mapping, as part of the identity."""
 
@@ -157,6 +171,15 @@ class SendsByRadio(Protocol):
     """
 
     by_radio: bool
+
+
+@runtime_checkable
+class NamesCodes(Protocol):
+    """A driver of sensors that send codes in place of values, for example without a target."""
+
+    def code_meaning(self, code: int) -> str:
+        """Return the meaning of a code in the channel's field `code`, a short clause; empty if it is unknown."""
+        ...
 
 
 class Talk(Protocol):

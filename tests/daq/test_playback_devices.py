@@ -114,7 +114,7 @@ def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
     assert not laser.sending
     assert lasers.configure("laser_x", LASER, talk) == {**IDENTITY, "scaling": "ILD1420"}
     assert laser.sending
-    assert laser.commands == 11
+    assert laser.commands == 13
     assert laser.unfollowed == 0
 
 

@@ -68,6 +68,8 @@ class SensorCommands:
             "OUTHOLD": lambda _: [],
             "OUTREDUCEDEVICE": lambda _: [],
             "MASTERMV": lambda _: [],
+            "TRIGGER": lambda _: [],
+            "AVERAGE": lambda _: [],
             "RESETCNT": self._reset,
         }
 

@@ -13,8 +13,17 @@ from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
 
-_ANSWER_S = 1.0  # wall seconds
-_ARGUMENT_OR_ACCESS = re.compile(r"access|denied|parameter|argument|value|range|timeout", re.IGNORECASE)
+_ANSWER_S = (1.0, 1.5)
+"""Waits for an answer after the first and after the repeated command, wall s; MASTERMV takes up to 2 s."""
+_QUIET_S = 0.25  # without a further answer, after which no late one follows; wall s
+_ACCESS = re.compile(r"access|denied", re.IGNORECASE)
+_ARGUMENT = re.compile(r"parameter|argument|value|range|timeout", re.IGNORECASE)
+_BITS_PER_WORD = 30  # three bytes, each with a start bit and a stop bit
+
+_USER_LEVEL = (
+    "The sensor is at the user level USER, which cannot change settings: log in as PROFESSIONAL, on its web page or "
+    "with LOGIN and its password, and keep that level with STDUSER PROFESSIONAL"
+)
 
 
 def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
@@ -24,32 +33,58 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     its counter and timestamp may not continue. The stream is therefore stopped until the line is silent.
 
     Returns:
-        Identity: name, serial, version, range_m, scaling, words.
+        Identity: name, serial, version, range_m, scaling, words; warning, if a filter or a trigger may be active or
+            the line is too slow for the rate.
 
     Raises:
         DeviceError: the sensor does not answer, refuses a command, or differs from the rig file.
     """
     if not stop_stream(talk, b"OUTPUT NONE\n"):
         raise DeviceError(
-            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. Does its line carry "
-            "commands too (both wire pairs of RS422), and does another program or master command it? Switch it off "
-            "and on"
+            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. {_why(talk)}"
         )
     talk.restart_decoding()
     dialogue = _Dialogue(device, config, talk)
-    dialogue.command("OUTPUT NONE")  # the answer to the first one may have been lost in the stream
+    dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may have been lost in the stream
     dialogue.command("ECHO ON")
     info = sensor_answers.parse_info(dialogue.command("GETINFO"))
     scaling = _checked_scaling(device, config, info)
-    dialogue.command("OUTHOLD NONE")
+    dialogue.command("OUTHOLD NONE", may_lack=True)
     dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
     if scaling != distance_words.MASTERED:  # a zero set in the sensor shifts its words
         dialogue.command("MASTERMV NONE", may_lack=True)
+    doubts = [
+        doubt
+        for text, what in (
+            ("TRIGGER NONE", "it may wait for a trigger"),
+            ("AVERAGE NONE", "its distances may be averaged, thus smoothed and late"),
+        )
+        if (doubt := dialogue.switch_off(text, what))
+    ]
     dialogue.command(f"MEASRATE {config.rate_Hz / 1000:g}")
     dialogue.command("OUTADD_RS422 COUNTER TIMESTAMP")
     words = config.output_words or _output_words(device, dialogue.command("GETOUTINFO_RS422"))
     dialogue.command("OUTPUT RS422")
-    return {**info, "scaling": scaling, "words": list(words)}
+    if slow := _slow_line(device, config, words):
+        doubts.append(slow)
+    warning = {"warning": ". ".join(doubts)} if doubts else {}
+    return {**info, "scaling": scaling, "words": list(words), **warning}
+
+
+def _why(talk: Talk) -> str:
+    """Return the likely reason for a stream that does not stop, from the answers received meanwhile."""
+    while not talk.replies.empty():
+        line = talk.replies.get_nowait()
+        if _is_refusal(line) and _ACCESS.search(line):
+            return f"It answers {line}. {_USER_LEVEL}"
+    return (
+        "Does its line carry commands too (both wire pairs of RS422), and does another program or master command it? "
+        "Switch it off and on"
+    )
+
+
+def _is_refusal(line: str) -> bool:
+    return line[:1] == "E" and line[1:4].isdigit()
 
 
 class _Dialogue:
@@ -57,38 +92,100 @@ class _Dialogue:
 
     def __init__(self, device: str, config: Laser, talk: Talk) -> None:
         self._device, self._config, self._talk = device, config, talk
+        self._answered = False
 
-    def command(self, text: str, *, may_lack: bool = False) -> list[str]:
+    def command(self, text: str, *, may_lack: bool = False, repeat: bool = True) -> list[str]:
         """Send a command and return the lines of the answer.
 
         If the sensor `may_lack` the command, a refusal and a missing answer are accepted. A refusal of the arguments or
-        of the access level is an error in any case.
+        of the access level is an error in any case. Without an answer the command is sent a second time, unless
+        `repeat` is False: an answer may be damaged on the line.
         """
-        replies, clock = self._talk.replies, self._talk.clock
-        while not replies.empty():
-            replies.get_nowait()
-        self._talk.send(text.encode("ascii") + b"\n")
+        lines, bad = self._ask(text, repeat=repeat)
+        if lines is None:
+            if may_lack:
+                return []
+            raise DeviceError(self._no_answer(text, repeat))
+        if bad and (not may_lack or _ACCESS.search(bad) or _ARGUMENT.search(bad)):
+            raise DeviceError(f"{self._device}: {text!r} refused: {bad}. {self._advice(bad)}")
+        return lines
+
+    def switch_off(self, text: str, otherwise: str) -> str:
+        """Send a command that switches a function off.
+
+        Returns:
+            Warning with the consequence `otherwise` if the sensor has the command but refuses it; otherwise empty.
+        """
+        _, bad = self._ask(text)
+        if bad and _ACCESS.search(bad):
+            raise DeviceError(f"{self._device}: {text!r} refused: {bad}. {self._advice(bad)}")
+        return f"{text} refused ({bad}): {otherwise}" if bad and not re.search("unknown command", bad, re.I) else ""
+
+    def _ask(self, text: str, *, repeat: bool = True) -> tuple[list[str] | None, str]:
+        """Return the lines of the answer, None without an answer, and the refusal among them; empty without one."""
+        for attempt, wait_s in enumerate(_ANSWER_S if repeat else _ANSWER_S[:1]):
+            if attempt == 0:
+                self._drop_answers(0.0)
+            self._talk.send(text.encode("ascii") + b"\n")
+            lines = self._answer(wait_s)
+            if lines is None:
+                continue
+            self._answered = True
+            if attempt:
+                self._drop_answers(_QUIET_S)  # the other answer may be late
+            return lines, next((line for line in lines if _is_refusal(line)), "")
+        return None, ""
+
+    def _answer(self, wait_s: float) -> list[str] | None:
+        """Return the lines before the next prompt; None if it does not arrive in time."""
+        clock = self._talk.clock
         lines: list[str] = []
-        deadline = clock.wall_s() + _ANSWER_S
+        deadline = clock.wall_s() + wait_s
         while (left := deadline - clock.wall_s()) > 0:
             try:
-                line = replies.get(timeout=left)
+                line = self._talk.replies.get(timeout=left)
             except queue.Empty:  # usual: the sensor sends no further line
                 break
             if line == sensor_answers.PROMPT:
-                bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
-                if bad and (not may_lack or _ARGUMENT_OR_ACCESS.search(bad)):
-                    raise DeviceError(
-                        f"{self._device}: {text!r} refused: {bad}. Check rate and output words in the rig file"
-                    )
                 return lines
             lines.append(line)
-        if may_lack:
-            return lines
-        raise DeviceError(
-            f"{self._device} on {self._config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
-            f"Is the baud rate {self._config.baud} and the sensor powered?"
+        return None
+
+    def _drop_answers(self, quiet_s: float) -> None:
+        """Remove answers until none has arrived for some wall seconds."""
+        try:
+            while True:
+                if quiet_s:
+                    self._talk.replies.get(timeout=quiet_s)
+                else:
+                    self._talk.replies.get_nowait()
+        except queue.Empty:  # usual: no further answer
+            return
+
+    def _advice(self, refusal: str) -> str:
+        return _USER_LEVEL if _ACCESS.search(refusal) else "Check rate and output words in the rig file"
+
+    def _no_answer(self, text: str, repeat: bool) -> str:
+        waited = f"{sum(_ANSWER_S):g} s, although it was sent twice" if repeat else f"{_ANSWER_S[0]:g} s"
+        advice = (
+            "It answered earlier commands: look at the cable, its shield and the adapter, and repeat this"
+            if self._answered
+            else f"Is the baud rate {self._config.baud} and the sensor powered?"
         )
+        return f"{self._device} on {self._config.port}: no answer to {text!r} within {waited}. {advice}"
+
+
+def _slow_line(device: str, config: Laser, words: Sequence[str]) -> str:
+    """Return a warning if the stated baud rate does not carry the stream; otherwise empty."""
+    needed = len(words) * _BITS_PER_WORD * config.rate_Hz
+    if needed <= config.baud:
+        return ""
+    most = config.baud / (len(words) * _BITS_PER_WORD)
+    return (
+        f"{len(words)} output words at {config.rate_Hz:g} Hz need {needed:.0f} baud, devices.{device}.baud is "
+        f"{config.baud}: the sensor sends error codes instead of distances then. Set a rate of its model up to "
+        f"{most:.0f} Hz, or a higher baud rate in sensor and rig file"
+    )
 
 
 def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo) -> str:
@@ -119,8 +216,8 @@ def _output_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:
     Raises:
         DeviceError: no line has distance, counter and timestamp.
     """
-    announced = [words for line in answer if (words := sensor_answers.announced(line)) is not None]
-    readable = [words for words in announced if sensor_answers.places_of(words) is not None]
+    announced = [sensor_answers.named(answer), *map(sensor_answers.announced, answer)]
+    readable = [words for words in announced if words is not None and sensor_answers.places_of(words) is not None]
     if not readable:
         raise DeviceError(
             f"{device}: expected distance, counter and timestamp among its output words, got {list(answer)!r:.200} in "

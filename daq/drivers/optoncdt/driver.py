@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.drivers.contract import Pipeline, Talk
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import Pipeline, SpeedControl, Talk
 from daq.drivers.identification import IdentityTurns
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
+from daq.items import DeviceEvent
+
+if TYPE_CHECKING:
+    from daq.drivers.optoncdt.stream import LaserPipeline
 
 
 class OptoNcdt(DisplacementDriver):
@@ -47,6 +53,20 @@ class OptoNcdt(DisplacementDriver):
         from daq.drivers.optoncdt.played import PlayedLaser
 
         return PlayedLaser(identity, settings)
+
+    def checks(
+        self, settings: Any, pipeline: LaserPipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
+        """See Driver: the meaning of the error codes in place of distances, if there were any."""
+        if not pipeline.error_codes:
+            return {}
+        code, count = max(pipeline.error_codes.items(), key=lambda found: found[1])
+        meaning = self.code_meaning(code) or "not in the manuals"
+        return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, f"in {count} samples")}
+
+    def code_meaning(self, code: int) -> str:
+        """See NamesCodes."""
+        return distance_words.ERROR_CODES.get(code, "")
 
     def prepare(self) -> None:
         """See Driver."""

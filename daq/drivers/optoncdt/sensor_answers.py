@@ -13,6 +13,7 @@ DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI = "DIST", "COUNTER", "TIMESTAMP_LO
 
 _OUTINFO = "GETOUTINFO_RS422 "
 _NOT_DISTANCE = ("SHUTTER", "COUNTER", "TIMESTAMP", "INTENSITY", "STATE", "DIST_RAW", "TEMP")  # other outputs
+_KNOWN = frozenset({*_NOT_DISTANCE, TIMESTAMP_LO, TIMESTAMP_HI})
 MAX_WORDS = 32
 """Largest number of words in a block; sensors have about ten."""
 
@@ -81,6 +82,23 @@ def announced(line: str) -> tuple[str, ...] | None:
         return parse_outinfo(line)
     except DeviceError:  # usual: a line with another number of words is not the answer
         return None
+
+
+def named(answer: Sequence[str]) -> tuple[str, ...] | None:
+    """Return the words that the lines of an answer to GETOUTINFO_RS422 name together, without the command's name.
+
+    Firmware may send the names alone, in one line or one for each line, with commas, after an echo. Only names of known
+    outputs are accepted, since such lines do not state what they are. None if there are other names.
+    """
+    names: list[str] = []
+    for line in answer:
+        found = line.upper().replace(",", " ").split()
+        if found and re.fullmatch(r"W\d{3}", found[0]):
+            continue
+        names += [name for name in found if name not in (_OUTINFO.strip(), "OK")]
+    if len({*names}) < len(names) or not all(re.fullmatch(r"DIST\d?", name) or name in _KNOWN for name in names):
+        return None
+    return announced(_OUTINFO + " ".join(names))
 
 
 class WordPositions(NamedTuple):

@@ -14,6 +14,7 @@ from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
+from daq.drivers.optoncdt.set_up_watch import SetUpWatch
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
@@ -29,6 +30,9 @@ Items = list[Batch | DeviceEvent]
 class LaserPipeline:
     """Decoder of optoNCDT bytes to displacement of the disk centre, with counted gaps.
 
+    Attributes:
+        error_codes: number of samples so far with each error code in place of a distance.
+
     Raises:
         DeviceError: range, scaling or words of the identity are invalid.
     """
@@ -36,6 +40,7 @@ class LaserPipeline:
     def __init__(self, device: str, config: Laser, channel: channels.Channel, identity: Mapping[str, Any]) -> None:
         kinds = ("samples", "bytes", "damaged", "invalid", "suspect", "unusable")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+        self.error_codes: dict[int, int] = {}
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
         usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it
@@ -53,8 +58,18 @@ class LaserPipeline:
         self._tail = b""  # the beginning of an incomplete block
         self._order = RowOrder(self._nominal_ticks)
         self._reported_period = self._nominal_ticks
+        self._set_up = SetUpWatch()
         self._restart()
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def set_up_lost(self) -> str:
+        """See NoticesLostSetUp."""
+        return self._set_up.lost
+
+    @set_up_lost.setter
+    def set_up_lost(self, sign: str) -> None:
+        self._set_up.lost = sign
 
     @property
     def clock_std_ns(self) -> float:
@@ -75,7 +90,13 @@ class LaserPipeline:
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         if direction == TX:
+            self._set_up.sent(data)
             return []
+        out = self._received(data, host_ns)
+        self._set_up.received(data, out, host_ns)
+        return out
+
+    def _received(self, data: bytes, host_ns: int) -> Items:
         data, self._tail = self._tail + data, b""
         clean = self._clean(data, host_ns)
         if clean is not None:
@@ -197,6 +218,10 @@ class LaserPipeline:
         code = np.ascontiguousarray(rows.code, np.uint32)
         displacement, invalid = measure(code, self._range_m, self._to_disk, self._scaling)
         self.losses["invalid"] += invalid
+        if invalid:
+            codes, counts = np.unique(code[np.isnan(displacement)], return_counts=True)
+            for each, count in zip(codes.tolist(), counts.tolist(), strict=True):
+                self.error_codes[each] = self.error_codes.get(each, 0) + count
         flags = self._spikes.feed(code, counter)
         columns = {
             "displacement_m": displacement,

@@ -30,6 +30,7 @@ from daq.clock import ClockMap, clock_rules
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
 from daq.drivers.riftek.read_lags import ReadLags
+from daq.drivers.riftek.result_rate import ResultRate
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
@@ -128,6 +129,16 @@ class RiftekPipeline:
         self._verdicts: list[int] = []  # positions of doubtful samples; the verdict is due LOOK_AHEAD positions later
         self._found_late = 0  # results found missing, to be reported with the next sample
         self._waiting: _Waiting | None = None
+        self._rate = ResultRate(self._period_ns)
+
+    @property
+    def set_up_lost(self) -> str:
+        """See NoticesLostSetUp."""
+        return self._rate.sign
+
+    @set_up_lost.setter
+    def set_up_lost(self, sign: str) -> None:
+        self._rate.sign = sign
 
     @property
     def clock_std_ns(self) -> float:
@@ -138,6 +149,7 @@ class RiftekPipeline:
         """See Pipeline."""
         if direction == TX:
             self._decoder.expect(wire.awaited(data))
+            self._rate.sent(data)
             return self._release(0, host_ns) if self._waiting is not None else []
         if not data:
             return self._ended(host_ns)
@@ -149,6 +161,7 @@ class RiftekPipeline:
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         self._verdicts += [self._decoded + place for place in found.doubted]
         self._decoded += len(found.code)
+        self._rate.received(len(found.code), host_ns, damaged=found.skipped_bytes > 0)
         if len(found.code):
             out += self._place(self._counted(found, host_ns), host_ns)
         return out

@@ -1,0 +1,133 @@
+"""Set-up of a sensor that an earlier session or a weak line left in an unusual state."""
+
+from __future__ import annotations
+
+import pytest
+
+from daq.drivers.optoncdt import dialogue
+from daq.errors import DeviceError
+from tests.daq.hand_made_laser import HandMadeLaser
+
+NOT_IN_EVERY_MODEL: list[str] = ["TRIGGER", "AVERAGE", "OUTHOLD", "OUTREDUCEDEVICE", "MASTERMV"]
+WORDS = ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"]
+
+
+class WeakLine(HandMadeLaser):
+    """A sensor some of whose answers are lost or late.
+
+    Args:
+        lost: number of lost answers, by command.
+        late: commands whose answer arrives only with that to the next command.
+    """
+
+    def __init__(self, lost: dict[str, int] | None = None, late: tuple[str, ...] = ()) -> None:
+        super().__init__()
+        self._lost, self._late = lost or {}, set(late)
+        self._held: list[str] = []
+
+    def send(self, data: bytes) -> None:
+        before = self.replies.qsize()
+        super().send(data)
+        answer = [self.replies.get_nowait() for _ in range(self.replies.qsize())][before:]
+        command = data.decode().strip()
+        if self._lost.get(command, 0) > 0:
+            self._lost[command] -= 1
+        elif command in self._late:
+            self._late.discard(command)
+            self._held = answer
+        else:
+            for line in [*self._held, *answer]:
+                self.replies.put(line)
+            self._held = []
+
+
+@pytest.fixture(autouse=True)
+def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dialogue, "_ANSWER_S", (0.05, 0.05))
+    monkeypatch.setattr(dialogue, "_QUIET_S", 0.02)
+
+
+def test_trigger_and_averaging_of_an_earlier_session_are_switched_off() -> None:
+    sensor = HandMadeLaser()
+    identity = sensor.set_up()
+    assert {"TRIGGER NONE", "AVERAGE NONE"} <= {*sensor.heard}
+    assert sensor.heard[-1] == "OUTPUT RS422"
+    assert "warning" not in identity
+
+
+def test_a_sensor_without_these_commands_is_accepted() -> None:
+    lacks = dict.fromkeys(NOT_IN_EVERY_MODEL, "E210 Unknown command")
+    assert "warning" not in HandMadeLaser(answers=lacks).set_up()
+
+
+def test_averaging_that_cannot_be_switched_off_is_a_warning() -> None:
+    identity = HandMadeLaser(answers={"AVERAGE": "E230 Unknown parameter"}).set_up()
+    assert identity["warning"] == (
+        "AVERAGE NONE refused (E230 Unknown parameter): its distances may be averaged, thus smoothed and late"
+    )
+
+
+@pytest.mark.parametrize("command", ["OUTPUT", "AVERAGE", "MEASRATE"])
+def test_a_refusal_by_the_user_level_names_the_remedy(command: str) -> None:
+    sensor = HandMadeLaser(answers={command: "E202 Access denied"})
+    with pytest.raises(DeviceError, match=rf"'{command} .* refused: E202 Access denied\. .* LOGIN .* STDUSER PROF"):
+        sensor.set_up()
+
+
+def test_a_stream_that_the_user_level_protects_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    sensor = HandMadeLaser(answers={"OUTPUT NONE": "E202 Access denied"})
+
+    def goes_on(talk: HandMadeLaser, order: bytes) -> bool:
+        talk.send(order)
+        return False
+
+    monkeypatch.setattr(dialogue, "stop_stream", goes_on)
+    with pytest.raises(DeviceError, match=r"goes on streaming\. It answers E202 .* STDUSER PROFESSIONAL"):
+        sensor.set_up()
+
+
+@pytest.mark.parametrize("command", ["GETINFO", "MEASRATE 4", "GETOUTINFO_RS422", "OUTPUT RS422"])
+def test_a_lost_answer_is_requested_again(command: str) -> None:
+    sensor = WeakLine(lost={command: 1})
+    assert sensor.set_up()["words"] == WORDS
+    assert sensor.heard.count(command) == 2
+
+
+@pytest.mark.parametrize("command", ["ECHO ON", "GETINFO", "MASTERMV NONE", "MEASRATE 4", "GETOUTINFO_RS422"])
+def test_a_late_answer_is_not_taken_for_that_to_the_next_command(command: str) -> None:
+    sensor = WeakLine(late=(command,))
+    assert sensor.set_up()["words"] == WORDS
+
+
+def test_two_lost_answers_end_the_set_up_with_what_to_look_at() -> None:
+    sensor = WeakLine(lost={"MEASRATE 4": 2})
+    with pytest.raises(DeviceError, match=r"no answer to 'MEASRATE 4' .* It answered earlier commands: look at the"):
+        sensor.set_up()
+    assert "OUTPUT RS422" not in sensor.heard
+
+
+def test_a_silent_sensor_is_found_after_one_command() -> None:
+    sensor = WeakLine(lost={"OUTPUT NONE": 9})
+    with pytest.raises(DeviceError, match=r"no answer to 'OUTPUT NONE' .* Is the baud rate 921600 and the sensor pow"):
+        sensor.set_up()
+
+
+def test_a_rate_beyond_the_line_is_a_warning_with_the_highest_possible() -> None:
+    warning = HandMadeLaser().set_up(rate_Hz=8000)["warning"]
+    assert "4 output words at 8000 Hz need 960000 baud, devices.laser_x.baud is 921600" in warning
+    assert "up to 7680 Hz" in warning
+    assert "warning" not in HandMadeLaser().set_up(rate_Hz=8000, baud=1_000_000)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "DIST1 COUNTER TIMESTAMP",
+        "DIST1, COUNTER, TIMESTAMP",
+        "GETOUTINFO_RS422\r\nDIST COUNTER TIMESTAMP",
+        "GETOUTINFO_RS422 ok\r\nDIST1\r\nCOUNTER\r\nTIMESTAMP_LO\r\nTIMESTAMP_HI",
+        "W100 something\r\nDIST1 COUNTER TIMESTAMP",
+    ],
+)
+def test_output_names_without_the_commands_name_are_read(answer: str) -> None:
+    assert HandMadeLaser(outinfo=answer).set_up()["words"] == WORDS
