@@ -492,6 +492,8 @@ def test_the_rate_of_the_status_messages_is_checked(set_Hz: float, stated_Hz: fl
         assert check.value == pytest.approx(set_Hz, rel=0.1)
         assert check.passed is fine
         assert ("CAN Status Messages Rate 1" in check.note) is not fine
+        by_default = DRIVER.checks(controller(), bench.pipeline, bench.control, [])["status_Hz"]
+        assert by_default.passed is (set_Hz != 100), "without status_Hz in the rig file they may be off"
 
 
 @pytest.mark.parametrize("identity", [{}, {"firmware": "5.03", "hardware": "H", "serial": "00" * 12}])

@@ -567,6 +567,23 @@ def test_an_answer_from_before_the_command_shows_nothing(on_rig_time: Callable[[
     assert not bench.control.enabled
 
 
+def test_one_that_answers_no_more_is_braked(bench: Bench) -> None:
+    """Its status messages on a CAN bus go on, so the channel is not silent; faults and timeout are unknown."""
+    bench.runs(600.0)
+    bench.far.fail("silent reports", 1)
+    bench.pass_time(0.6)
+    assert bench.control.dropped_out is None
+    bench.pass_time(0.5)
+    assert bench.control.dropped_out == "UNKNOWN (no answer to 8 polls)"
+    assert bench.commands[-1][1].what == wire.SET_BRAKE
+    bench.pass_time(1.0)
+    assert bench.rpm < 1
+    bench.far.fail("silent reports", 0)
+    bench.pass_time(0.2)
+    bench.control.enable()
+    assert bench.control.enabled
+
+
 def test_a_wire_that_breaks_shows_in_the_status(bench: Bench) -> None:
     bench.runs(600.0)
     bench.far.fail("deaf", 1)

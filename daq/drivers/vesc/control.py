@@ -18,6 +18,8 @@ from daq.transports.host_clock import HostClock
 
 __all__ = ["Mode", "VescControl"]
 
+_MOST_UNANSWERED = 8  # polls in a row, each repeated after ANSWER_S, after which a driven rotor is stopped
+_NO_ANSWER = f"{UNKNOWN} (no answer to {_MOST_UNANSWERED} polls)"
 _MOST_TIMEOUTS = 3  # timeouts of the rig file for which the measured one is awaited
 _DELAY_S = 0.05  # wall s, longest time of an answer from the controller to this process
 _STEP_S = 0.01  # period at which the controller examines its timeout [its firmware], s
@@ -65,6 +67,7 @@ class VescControl(RepeatedCommand):
         self._answers = 0
         self._polled_ns: int | None = None  # time of the poll that is not answered yet
         self._poll_due_ns = 0
+        self._unanswered = 0  # polls since the newest answer
         self._expired = False  # whether it has reported an expired timeout since this command began
         self._enable_stops = 0  # stop commands before the last `enable`
 
@@ -81,7 +84,7 @@ class VescControl(RepeatedCommand):
             before, self._report, self._report_ns = self._report, values, self._clock.now_ns()
             self._reported_rpm = values.erpm / self._settings.pole_pairs
             self._answers += 1
-            self._polled_ns = None
+            self._polled_ns, self._unanswered = None, 0
             self._expired |= bool((values.status or 0) & wire.TIMED_OUT)
             if values.fault and values.fault not in self.faults:
                 self.faults.append(values.fault)
@@ -121,6 +124,10 @@ class VescControl(RepeatedCommand):
         waited = self._polled_ns is None or now_ns - self._polled_ns > self._clock.patience(ANSWER_S) * 1e9
         if not waited or now_ns < self._poll_due_ns:
             return b""
+        if self._polled_ns is not None:  # counted, not timed: a host that was asleep has sent no polls
+            self._unanswered += 1
+            if self._armed and self._unanswered >= _MOST_UNANSWERED:
+                self._fall(_NO_ANSWER)
         self._poll_due_ns = max(self._poll_due_ns + round(1e9 / self._settings.report_Hz), now_ns)
         self._polled_ns = now_ns
         return self._commands.get_values()

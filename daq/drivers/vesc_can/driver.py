@@ -48,7 +48,7 @@ class VescCanDriver(VescDriver):
         assert isinstance(settings, VescCan)
         assert isinstance(pipeline, VescCanPipeline)
         found = super().checks(settings, pipeline, control, events)
-        return {**found, "status_Hz": status_check(settings.status_Hz, pipeline.status)}
+        return {**found, "status_Hz": status_check(settings, pipeline.status)}
 
     def far_end(self, device: str, settings: VescCan, world: Any) -> FarEnd:
         """See Driver."""
