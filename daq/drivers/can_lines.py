@@ -38,6 +38,9 @@ class CanLines:
     Args:
         device: name of the device in the rig file.
         losses: losses of the pipeline; this decoder adds and counts `damaged_lines` and `refused_lines`.
+
+    Attributes:
+        open_refused: whether the adapter has refused the last command to open the bus that it has answered.
     """
 
     def __init__(self, device: str, losses: dict[str, int]) -> None:
@@ -45,19 +48,20 @@ class CanLines:
         losses |= {"damaged_lines": 0, "refused_lines": 0}
         self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
         self._joined = False
-        self._may_refuse = 0  # pending commands to the adapter itself; a refusal of these is not a lost frame
+        self.open_refused: bool = False
+        self._pending = deque[str]()  # commands to the adapter itself; a refusal of these is not a lost frame
 
     def sent(self, data: bytes) -> list[slcan.CanFrame]:
         """Return the frames in text that the host has sent."""
         found = self._tx.feed(data)
-        self._may_refuse += len(found.other_lines)
+        self._pending += found.other_lines
         return found.frames
 
     def received(self, data: bytes) -> tuple[list[slcan.CanFrame], list[DeviceEvent]]:
         """Return the frames in text from the adapter, and the events about refused frames and damaged lines."""
         found = self._rx.feed_any(data) if self._joined else self._join(data)
         events: list[DeviceEvent] = []
-        if found.other_lines or self._may_refuse:
+        if found.other_lines or self._pending:
             events += self._answered(found)
         if found.damaged:
             self._losses["damaged_lines"] += found.damaged
@@ -79,12 +83,13 @@ class CanLines:
         refused = 0
         for line in found.other_lines:
             if line in ("", slcan.BEL):
-                refused += line == slcan.BEL and not self._may_refuse
-                self._may_refuse = max(0, self._may_refuse - 1)
+                refused += line == slcan.BEL and not self._pending
+                order = self._pending.popleft() if self._pending else ""
+                self.open_refused = line == slcan.BEL if order == "O" else self.open_refused
             elif line in ("z", "Z"):  # a frame was sent: earlier commands to the adapter are not pending any more
-                self._may_refuse = 0
+                self._pending.clear()
         if found.frames:
-            self._may_refuse = 0  # the bus is open
+            self._pending.clear()  # the bus is open
         if not refused:
             return []
         self._losses["refused_lines"] += refused

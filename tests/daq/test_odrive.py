@@ -433,6 +433,19 @@ def test_reports_that_are_too_old_are_not_used(fault: str) -> None:
         assert (bench.drive.state == "UNKNOWN") is (fault == "silent heartbeat")
 
 
+def test_an_axis_without_heartbeat_is_stopped_although_its_estimates_go_on() -> None:
+    """Its channel is not silent; its errors and its watchdog are not seen."""
+    with running() as bench:
+        bench.runs(200.0)
+        bench.far.fail("silent heartbeat", 1)
+        bench.time.pass_time(0.8)
+        assert bench.drive.dropped_out is None
+        bench.time.pass_time(0.5)
+        assert bench.drive.dropped_out == "UNKNOWN (no heartbeat for 100 estimates)"
+        bench.time.pass_time(1.0)
+        assert abs(bench.rpm) < 1.0
+
+
 def test_a_runaway_rotor_loses_its_torque() -> None:
     with running() as bench:
         bench.runs(200.0)

@@ -16,6 +16,7 @@ from daq.drivers.contract import Driver
 from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc_can import wire
 from daq.drivers.vesc_can.driver import DRIVER, VescCanDriver
+from daq.drivers.vesc_can.far_end import SimulatedVescCan
 from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.stream import can_pipeline
 from daq.errors import DeviceError, LinkLost
@@ -213,6 +214,126 @@ def test_commands_to_other_controllers_and_frames_without_data_are_no_fault() ->
     assert kinds(pipeline.feed(RX, text(other), MS)) == ["fault"]
 
 
+@pytest.mark.parametrize(
+    ("arbitration_id", "data"),
+    [
+        (0x03FF, "00000BB8"),  # speed, to every controller
+        (0x0017, "00002710"),  # duty cycle
+        (0x0117, "00001388 0064"),  # current with a delay
+        (0x0417, "00000000"),  # position
+        (0x0A17, "00002710"),  # relative current
+        (0x0BFF, "00002710"),
+        (0x0C17, "00001388"),  # hand brake
+        (0x0D17, "00002710"),
+        (0x1517, "00000000 00002710"),  # limits of the motor current
+        (0x1FFF, ""),  # shutdown
+        (0x0817, "30 00 1E"),  # alive: the last command goes on
+        (0x0817, "30 02 08 00000B"),  # a payload that is not answered
+        (0x08FF, "30 00 1E"),
+        (0x0717, "30 00 0020 1234"),  # end of a payload in pieces
+    ],
+)
+def test_each_command_of_another_node_is_a_fault(arbitration_id: int, data: str) -> None:
+    """Each of them resets the timeout or changes the controller: it would go on without its host."""
+    pipeline = can_pipeline("drive", controller())
+    pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
+    assert kinds(pipeline.feed(RX, text(extended(arbitration_id, data)), MS)) == ["fault"]
+
+
+@pytest.mark.parametrize(
+    ("arbitration_id", "data"),
+    [
+        (0x0817, "30 00 04"),  # query of the values by a display
+        (0x0817, "30 00 32 00000080"),  # query of one value
+        (0x0817, "18 01 00 06"),  # answer of another controller, which this one has asked
+        (0x0717, "18 01 0020 1234"),
+        (0x1117, "30"),  # ping and its answer
+        (0x1217, "18 00"),
+        (0x1017, "0000000000000000"),  # other status messages, of this number
+        (0x1B17, "000000000000"),
+        (0x10317, "00000BB8"),  # an identifier with higher bits
+    ],
+)
+def test_queries_of_another_node_are_no_fault(arbitration_id: int, data: str) -> None:
+    pipeline = can_pipeline("drive", controller())
+    pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
+    assert pipeline.feed(RX, text(extended(arbitration_id, data)), MS) == []
+
+
+def test_the_queries_of_a_display_are_not_those_of_the_rig() -> None:
+    """A session that only receives counts the polls of the rig's host, whose answers it decodes."""
+    pipeline = can_pipeline("drive", controller())
+    display, own = extended(0x0817, "30 00 04"), extended(0x0817, "FD 00 04")
+    answer = wire.pieces(vesc.pack_values(vesc.Values(erpm=700)), 23, 253)
+    for _ in range(3):  # one read each: another host's frames are taken after the answers of their read
+        pipeline.feed(RX, text(own, display), 0)
+        pipeline.feed(RX, text(*answer, display), MS)
+    assert pipeline.losses["unanswered"] == 0
+    pipeline.feed(RX, text(own, own), MS)
+    assert pipeline.losses["unanswered"] == 1
+
+
+def test_the_message_of_its_start_is_one_restart() -> None:
+    """A controller sends it by itself, also one whose counters were 0 and so cannot decrease."""
+    pipeline = can_pipeline("drive", controller())
+    before, after = (wire.pieces(vesc.pack_values(vesc.Values(turned=n)), 23, 253) for n in (500, 0))
+    pipeline.feed(RX, text(*before), 0)
+    boot, other = extended(0x3917, "36305F4D4B35"), extended(0x3918, "36305F4D4B35")
+    assert kinds(pipeline.feed(RX, text(other), MS)) == []
+    assert kinds(pipeline.feed(RX, text(boot), MS)) == ["restart"]
+    assert kinds(pipeline.feed(RX, text(*after), 2 * MS)) == []
+    assert kinds(pipeline.feed(RX, text(*before), 3 * MS)) == []
+    assert kinds(pipeline.feed(RX, text(*after), 4 * MS)) == ["restart"], "counters alone show one too"
+
+
+ANSWER = text(*wire.pieces(vesc.pack_values(vesc.Values(erpm=700)), 23, 253))
+STATUS = text(extended(0x0917, "000002BC00000000"))
+
+
+def of_kind(items: list[Batch | DeviceEvent], kind: str) -> list[DeviceEvent]:
+    return [item for item in items if isinstance(item, DeviceEvent) and item.kind == kind]
+
+
+def test_status_messages_that_stop_are_counted_and_reported() -> None:
+    """The controller goes on answering: without a count their absence looks like a lower rate."""
+    pipeline = can_pipeline("drive", controller(status_Hz=100.0, report_Hz=50.0))
+    items: list[Batch | DeviceEvent] = []
+    for n in range(100):  # 2 s
+        items += pipeline.feed(RX, ANSWER + STATUS + STATUS, n * 20 * MS)
+    items += pipeline.feed(RX, (ANSWER + STATUS + STATUS) * 100, 4000 * MS)  # the host was asleep
+    assert kinds(items) == ["drive"]
+    assert pipeline.losses["missing_status"] == 0
+    items = []
+    for n in range(1, 151):  # 3 s
+        items += pipeline.feed(RX, ANSWER, (4000 + n * 20) * MS)
+    (event,) = of_kind(items, "status")
+    assert "expected 100 a second (status_Hz)" in event.text
+    assert pipeline.losses["missing_status"] == 300
+    (gap,) = of_kind(pipeline.feed(RX, STATUS, 7000 * MS), "gap")
+    assert gap.facts["samples"] == pipeline.losses["missing_status"] == 300
+
+
+def test_status_messages_that_are_off_are_reported_once_and_are_no_loss() -> None:
+    for status_Hz, expected in ((50.0, 1), (0.0, 0)):
+        pipeline = can_pipeline("drive", controller(status_Hz=status_Hz))
+        items = [item for n in range(200) for item in pipeline.feed(RX, ANSWER, n * 20 * MS)]
+        assert len(of_kind(items, "status")) == expected
+        assert not any(pipeline.losses.values())
+
+
+def test_logs_of_older_rules_decode_to_the_same_events() -> None:
+    boot, to_all, query = extended(0x3917, "3630"), extended(0x3FF, "00000BB8"), extended(0x0817, "30 00 04")
+
+    def events_by(rules: int) -> list[str]:
+        pipeline = DRIVER.pipeline("drive", controller(), {"clock_rules": rules})
+        pipeline.feed(TX, text(wire.simple(wire.SET_BRAKE, 23, 1)) + wire.CanCommands(23, 253).get_values() * 2, 0)
+        items = [*pipeline.feed(RX, text(boot, to_all), MS), *pipeline.feed(RX, text(query), 2000 * MS)]
+        return kinds([*items, *pipeline.feed(RX, ANSWER * 40, 2001 * MS)])
+
+    assert events_by(4) == ["fault", "gap", "drive"], "the query was a fault"
+    assert events_by(5) == ["restart", "fault", "status", "gap", "drive", "gap"]
+
+
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
     pipeline = can_pipeline("drive", controller())
     frames = text(wire.simple(wire.SET_RPM, 23, 2100), extended(0x0917, "0000083400000000"))
@@ -338,6 +459,41 @@ def test_a_controller_that_does_not_answer_is_explained() -> None:
         bench.far.power(False, 0.0)
         with pytest.raises(DeviceError, match=r"its CAN mode VESC, are its number \(23\)"):
             bench.begin()
+
+
+def test_an_error_of_the_opening_names_what_is_on_the_bus() -> None:
+    with running(variant(controller_id=24)) as bench:
+        bench.far = SimulatedVescCan.of(controller(), bench.world)
+        with pytest.raises(DeviceError, match=r"in 3 tries, but status messages of controller 23\. Is the controller"):
+            bench.begin()
+
+
+def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
+    class Refusing(SimulatedVescCan):
+        def receive(self, data: bytes, now_s: float) -> bytes:
+            return b"".join({b"": b"\r", b"C": b"\a", b"S6": b"\r"}.get(line, b"\a") for line in data.split(b"\r")[:-1])
+
+    with running() as bench:
+        bench.far = Refusing.of(controller(), bench.world)
+        bench.far.power(False, 0.0)
+        with pytest.raises(DeviceError, match="but the adapter refused to open the bus"):
+            bench.begin()
+
+
+@pytest.mark.parametrize(
+    ("set_Hz", "stated_Hz", "fine"), [(50, 50, True), (100, 50, False), (0, 50, False), (0, 0, True)]
+)
+def test_the_rate_of_the_status_messages_is_checked(set_Hz: float, stated_Hz: float, fine: bool) -> None:
+    with running(variant(status_Hz=stated_Hz)) as bench:
+        bench.far = SimulatedVescCan.of(controller(status_Hz=set_Hz), bench.world)
+        bench.begin()
+        bench.time.pass_time(3.0)
+        check = DRIVER.checks(controller(status_Hz=stated_Hz), bench.pipeline, bench.control, [])["status_Hz"]
+        assert check.value == pytest.approx(set_Hz, rel=0.1)
+        assert check.passed is fine
+        assert ("CAN Status Messages Rate 1" in check.note) is not fine
+        by_default = DRIVER.checks(controller(), bench.pipeline, bench.control, [])["status_Hz"]
+        assert by_default.passed is (set_Hz != 100), "without status_Hz in the rig file they may be off"
 
 
 @pytest.mark.parametrize("identity", [{}, {"firmware": "5.03", "hardware": "H", "serial": "00" * 12}])

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from daq.drivers.contract import Driver, RotorGuard, SpeedControl, TurnsRotor
+from daq.drivers.contract import Driver, MeasuresTimeOut, RotorGuard, SpeedControl, TimeOut, TurnsRotor
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.control import Mode, VescControl
 from daq.drivers.vesc.dialogue import identify
@@ -419,6 +419,98 @@ def test_polls_do_not_keep_it_commanded(bench: Bench) -> None:
     assert bench.rpm < 1
 
 
+# --- the timeout, at rest --------------------------------------------------------------------------------------
+
+
+def time_out(bench: Bench) -> TimeOut:
+    assert isinstance(bench.control, MeasuresTimeOut)
+    return bench.control.measure_time_out()
+
+
+def mode(bench: Bench) -> Mode:
+    assert isinstance(bench.control, VescControl)
+    return bench.control.mode
+
+
+@pytest.mark.parametrize("timeout_s", [0.5, 1.0, 2.5])
+def test_its_timeout_is_measured_at_rest(on_rig_time: Callable[[Bench], Bench], timeout_s: float) -> None:
+    bench = on_rig_time(Bench(timeout_s=timeout_s))
+    bench.pass_time(0.3)
+    found = time_out(bench)
+    assert found.measured_s == pytest.approx(timeout_s, abs=found.resolution_s)
+    assert found.resolution_s < 0.15
+    assert found.stated_s == SETTINGS.timeout_s
+    assert [command.what for _, command in bench.commands] == [wire.SET_CURRENT]
+
+
+def test_a_timeout_that_is_off_is_not_measured_and_the_rotor_is_not_turned(
+    on_rig_time: Callable[[Bench], Bench],
+) -> None:
+    bench = on_rig_time(Bench(timeout_s=math.inf))
+    bench.send(wire.release())
+    bench.pass_time(0.3)
+    assert time_out(bench).measured_s is None
+    with pytest.raises(DeviceError, match="its timeout has not expired although it received no command"):
+        bench.control.enable()
+    assert {command.what for _, command in bench.commands} == {wire.SET_CURRENT}
+
+
+def test_what_cannot_show_its_timeout_is_not_measured(on_rig_time: Callable[[Bench], Bench]) -> None:
+    old, deaf, turning = on_rig_time(Bench(has_status=False)), on_rig_time(Bench()), on_rig_time(Bench())
+    old.pass_time(0.3)
+    with pytest.raises(DeviceError, match=r"firmware before 5\.3"):
+        time_out(old)
+    deaf.far.fail("deaf", 1)
+    deaf.pass_time(0.3)
+    with pytest.raises(DeviceError, match="do commands reach it"):
+        time_out(deaf)
+    turning.runs(300.0)
+    with pytest.raises(DeviceError, match="must stand"):
+        time_out(turning)
+
+
+def test_after_an_earlier_session_the_timeout_is_awaited_before_a_speed(bench: Bench) -> None:
+    """A controller that was commanded a moment ago has not shown yet that it stops by itself."""
+    bench.send(wire.release())
+    bench.pass_time(0.1)
+    bench.control.quick_stop()
+    bench.pass_time(0.2)
+    began_s = bench.clock.rig_s
+    bench.control.enable()
+    assert 0.9 < bench.clock.rig_s - began_s < 1.3
+    assert bench.control.enabled
+    bench.control.disable()
+    began_s = bench.clock.rig_s
+    bench.control.enable()
+    assert bench.clock.rig_s - began_s < 0.2, "once is enough"
+
+
+def test_a_stop_while_the_timeout_is_awaited_wins(bench: Bench) -> None:
+    bench.send(wire.release())
+    bench.pass_time(0.1)
+    stop_s = bench.clock.rig_s + 0.3
+
+    def stop() -> None:
+        if bench.clock.rig_s > stop_s and mode(bench) is Mode.NOTHING:
+            bench.control.quick_stop()
+
+    bench.at_permit = stop
+    with pytest.raises(DeviceError, match="a stop was commanded"):
+        bench.control.enable()
+    assert mode(bench) is Mode.BRAKE
+
+
+def test_a_turning_rotor_is_led_down_before_the_timeout_was_seen(bench: Bench) -> None:
+    for _ in range(100):
+        bench.send(wire.set_rpm(7 * 300))
+        bench.pass_time(0.02)
+    assert bench.rpm > 290
+    bench.control.enable()
+    bench.pass_time(0.2)
+    assert 100 < bench.rpm < 280
+    assert bench.control.enabled
+
+
 # --- what goes wrong -------------------------------------------------------------------------------------------
 
 
@@ -473,6 +565,23 @@ def test_an_answer_from_before_the_command_shows_nothing(on_rig_time: Callable[[
     with pytest.raises(DeviceError, match="does not answer"):
         bench.control.enable()
     assert not bench.control.enabled
+
+
+def test_one_that_answers_no_more_is_braked(bench: Bench) -> None:
+    """Its status messages on a CAN bus go on, so the channel is not silent; faults and timeout are unknown."""
+    bench.runs(600.0)
+    bench.far.fail("silent reports", 1)
+    bench.pass_time(0.6)
+    assert bench.control.dropped_out is None
+    bench.pass_time(0.5)
+    assert bench.control.dropped_out == "UNKNOWN (no answer to 8 polls)"
+    assert bench.commands[-1][1].what == wire.SET_BRAKE
+    bench.pass_time(1.0)
+    assert bench.rpm < 1
+    bench.far.fail("silent reports", 0)
+    bench.pass_time(0.2)
+    bench.control.enable()
+    assert bench.control.enabled
 
 
 def test_a_wire_that_breaks_shows_in_the_status(bench: Bench) -> None:

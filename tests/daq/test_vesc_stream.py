@@ -99,10 +99,25 @@ def test_polls_without_an_answer_are_counted() -> None:
     (gap,) = events(pipeline.feed(RX, answer(RUNNING), 2), "gap")
     assert gap.facts["samples"] == pipeline.losses["unanswered"] == 3
     pipeline.feed(TX, wire.get_values(), 3)
-    assert (
-        events(pipeline.feed(RX, answer(RUNNING) * 2, 4), "gap") == []
-    )  # a surplus answer does not replace a missing one
+    assert events(pipeline.feed(RX, answer(RUNNING), 4), "gap") == []
     assert pipeline.losses["unanswered"] == 3
+
+
+def test_late_answers_are_no_loss() -> None:
+    """After a stall of the host or the adapter each poll is answered, in order; no sample is missing."""
+    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline.feed(RX, answer(RUNNING), 0)
+    for _ in range(3):
+        pipeline.feed(TX, wire.get_values(), 1)
+    found = events(pipeline.feed(RX, answer(RUNNING) * 3, 2), "gap")
+    assert [gap.facts["samples"] for gap in found] == [2, -1, -1]
+    assert pipeline.losses["unanswered"] == 0
+    pipeline.feed(RX, answer(RUNNING) * 3, 3)
+    assert pipeline.losses["unanswered"] == 0, "a surplus answer takes nothing back"
+    for n in range(1, 5):  # the first answer is lost, the others are not
+        pipeline.feed(TX, wire.get_values() * (1 + (n == 1)), 2 * n + 3)
+        pipeline.feed(RX, answer(RUNNING), 2 * n + 4)
+    assert pipeline.losses["unanswered"] == 1
 
 
 def test_the_poll_of_a_release_does_not_make_the_one_before_it_a_loss() -> None:

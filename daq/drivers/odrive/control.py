@@ -21,6 +21,7 @@ _REQUEST_S = 0.3  # wall s between two requests of closed-loop control: a second
 _BRAKE_S = 1.0  # wall s of braking without effect after which the torque is removed
 _MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
 _REPORT_DELAY_S = 0.05  # wall s, longest time of a heartbeat from the controller to this process
+_MOST_MISSING = 10  # heartbeats in a row, counted in estimates, after which a driven axis is stopped
 _BRAKES = 0.9  # share of the first speed above which a rotor counts as not braked
 
 
@@ -34,6 +35,7 @@ class OdriveControl(RepeatedCommand):
         self._settings = settings
         self._beat: wire.Heartbeat | None = None
         self._beat_ns = 0  # time of the newest heartbeat
+        self._estimates = 0  # estimates since then
         self._expired = False  # whether the watchdog has expired since the controller started
         self._requested_ns = 0  # time of the newest request of closed-loop control
         self._brake_rpm = 0.0  # speed at which braking began
@@ -55,6 +57,11 @@ class OdriveControl(RepeatedCommand):
                     self._fall(RESTARTED)
             for beat in pipeline.beats:
                 self._take(beat)
+            # counted, not timed: a host that was asleep receives heartbeats and estimates together
+            self._estimates = 0 if pipeline.beats else self._estimates + len(pipeline.speeds_rpm)
+            missing = self._estimates * self._settings.estimates_ms // self._settings.heartbeat_ms
+            if self._armed and missing >= _MOST_MISSING:
+                self._fall(f"{UNKNOWN} (no heartbeat for {self._estimates} estimates)")
 
     def _take(self, beat: wire.Heartbeat) -> None:
         before, self._beat, self._beat_ns = self._beat, beat, self._clock.now_ns()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.repeated_command import ANSWER_S, RESTARTED, UNKNOWN, Mode, RepeatedCommand
 from daq.drivers.vesc import stream, wire
 from daq.drivers.vesc.settings import VescMotor
@@ -17,6 +17,12 @@ from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 
 __all__ = ["Mode", "VescControl"]
+
+_MOST_UNANSWERED = 8  # polls in a row, each repeated after ANSWER_S, after which a driven rotor is stopped
+_NO_ANSWER = f"{UNKNOWN} (no answer to {_MOST_UNANSWERED} polls)"
+_MOST_TIMEOUTS = 3  # timeouts of the rig file for which the measured one is awaited
+_DELAY_S = 0.05  # wall s, longest time of an answer from the controller to this process
+_STEP_S = 0.01  # period at which the controller examines its timeout [its firmware], s
 
 
 class Commands(Protocol):
@@ -61,6 +67,9 @@ class VescControl(RepeatedCommand):
         self._answers = 0
         self._polled_ns: int | None = None  # time of the poll that is not answered yet
         self._poll_due_ns = 0
+        self._unanswered = 0  # polls since the newest answer
+        self._expired = False  # whether it has reported an expired timeout since this command began
+        self._enable_stops = 0  # stop commands before the last `enable`
 
     # --- reports ----------------------------------------------------------------------------------------------
 
@@ -75,7 +84,8 @@ class VescControl(RepeatedCommand):
             before, self._report, self._report_ns = self._report, values, self._clock.now_ns()
             self._reported_rpm = values.erpm / self._settings.pole_pairs
             self._answers += 1
-            self._polled_ns = None
+            self._polled_ns, self._unanswered = None, 0
+            self._expired |= bool((values.status or 0) & wire.TIMED_OUT)
             if values.fault and values.fault not in self.faults:
                 self.faults.append(values.fault)
             if not self._armed:
@@ -114,6 +124,10 @@ class VescControl(RepeatedCommand):
         waited = self._polled_ns is None or now_ns - self._polled_ns > self._clock.patience(ANSWER_S) * 1e9
         if not waited or now_ns < self._poll_due_ns:
             return b""
+        if self._polled_ns is not None:  # counted, not timed: a host that was asleep has sent no polls
+            self._unanswered += 1
+            if self._armed and self._unanswered >= _MOST_UNANSWERED:
+                self._fall(_NO_ANSWER)
         self._poll_due_ns = max(self._poll_due_ns + round(1e9 / self._settings.report_Hz), now_ns)
         self._polled_ns = now_ns
         return self._commands.get_values()
@@ -129,7 +143,36 @@ class VescControl(RepeatedCommand):
 
     def _is_ready(self) -> bool:
         report = self._recent()
-        return report is not None and not report.fault and not (report.status or 0) & wire.KILL_SWITCH
+        return report is not None and self._is_driveable(report) and self._is_proven(report)
+
+    @staticmethod
+    def _is_driveable(report: wire.Values) -> bool:
+        return not report.fault and not (report.status or 0) & wire.KILL_SWITCH
+
+    def _is_proven(self, report: wire.Values) -> bool:
+        """Return whether the timeout is proven, or cannot be proven. Until then a standing rotor gets no command.
+
+        It cannot be proven with firmware that does not report it, and while the rotor turns.
+        """
+        if self._expired or report.status is None or not self._guarded.at_rest():
+            return True
+        with self._deciding:
+            if self._stops != self._enable_stops:
+                return True  # `enable` fails: a stop has been commanded
+            if self.mode is not Mode.NOTHING:
+                self._begin(Mode.NOTHING)
+        return False
+
+    def enable(self) -> None:
+        """See RepeatedCommand.
+
+        Raises:
+            DeviceError: the controller has a fault, does not obey, or its timeout does not expire.
+            AcquisitionError: raised by `permit`.
+        """
+        with self._deciding:
+            self._enable_stops = self._stops
+        super().enable()
 
     def _obeys(self) -> bool:
         """Return whether it reports neither fault nor timeout after a command has reached it.
@@ -140,6 +183,13 @@ class VescControl(RepeatedCommand):
         return report is not None and self._ordered_ns < self._report_ns and not report.fault and not report.status
 
     def _disobeys(self) -> str:
+        report = self._recent()
+        if self.mode is Mode.NOTHING and not self._expired and report is not None and self._is_driveable(report):
+            return (
+                "drive: its timeout has not expired although it received no command: it is off or longer than "
+                f"expected, or another input commands the motor. Expected {self._settings.timeout_s:g} s (timeout_s): "
+                "without it the rotor goes on turning when the host is gone. Set it in the application settings"
+            )
         why = self.why() or "; it reports no fault"
         return (
             f"drive: expected it to obey, its state is {self.state}{why}. Look at the fault with the maker's software, "
@@ -175,3 +225,30 @@ class VescControl(RepeatedCommand):
                 self._polled_ns = self._clock.now_ns()
             self._send(self._commands.release() + self._commands.get_values())
         return lambda: self._answers >= due
+
+    def measure_time_out(self) -> TimeOut:
+        """See MeasuresTimeOut: release once, and wait until the status byte shows the expired timeout."""
+        report, s = self._recent(), self._settings
+        if report is None or report.fault or self.mode is not Mode.NOTHING or not self._guarded.at_rest():
+            raise DeviceError(f"the rotor must stand without a command and without a fault, it is in {self.state}")
+        if report.status is None:
+            raise DeviceError("firmware before 5.3 does not report an expired timeout: measure it with a turning rotor")
+        with self._sending:
+            self._send(self._commands.release())
+            sent_ns, sent_s = self._clock.now_ns(), self._clock.wall_s()
+        delay_ns = self._clock.patience(_DELAY_S) * 1e9
+        looked_s, longest_s, obeyed, expired = sent_s, 0.0, False, False
+        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s + 1.0
+        while not expired and looked_s < end_s:
+            self._clock.wait(0.002)
+            before_s, looked_s = looked_s, self._clock.wall_s()
+            longest_s = max(longest_s, looked_s - before_s)
+            with self._deciding:
+                timed_out = bool((self._report.status or 0) & wire.TIMED_OUT) if self._report is not None else False
+                late = self._report_ns - sent_ns > delay_ns  # an earlier one may precede the command
+            obeyed |= late and not timed_out
+            expired = obeyed and timed_out
+        if not obeyed:
+            raise DeviceError("the command to release did not end its expired timeout: do commands reach it?")
+        resolution_s = self._clock.wall(1.0 / s.report_Hz) + _STEP_S + _DELAY_S + 2 * longest_s
+        return TimeOut(looked_s - sent_s if expired else None, s.timeout_s, resolution_s)

@@ -30,9 +30,10 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
     """
     while not talk.replies.empty():
         talk.replies.get_nowait()
+    heard: list[str] = []
     for _ in range(_TRIES):
         talk.send(query)
-        firmware = _answer(talk)
+        firmware = _answer(talk, heard)
         if firmware is None:
             continue
         if firmware.major < _MIN_MAJOR:
@@ -48,19 +49,29 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
             "timeout_s": settings.timeout_s,
         }
     came = f"{talk.bytes_in} bytes came, none of them an answer" if talk.bytes_in else "nothing came"
+    also = f", but {', '.join(heard)}" if heard else ""
     raise DeviceError(
-        f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries. {advice}"
+        f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries{also}. {advice}"
     )
 
 
-def _answer(talk: Talk) -> wire.Firmware | None:
-    """Return the next valid answer; None if none arrives in time."""
+def _answer(talk: Talk, heard: list[str]) -> wire.Firmware | None:
+    """Return the next valid answer; None if none arrives in time.
+
+    Args:
+        heard: receives the replies in words, which are no payloads: what else is on the line.
+    """
     deadline = talk.clock.wall_s() + _ANSWER_S
     while (left := deadline - talk.clock.wall_s()) > 0:
         try:
-            firmware = wire.parse_firmware(bytes.fromhex(talk.replies.get(timeout=left)))
+            reply = talk.replies.get(timeout=left)
         except queue.Empty:  # usual: no answer in time
             return None
+        try:
+            firmware = wire.parse_firmware(bytes.fromhex(reply))
+        except ValueError:  # usual: words
+            heard.append(reply)
+            continue
         if firmware is not None:
             return firmware
     return None

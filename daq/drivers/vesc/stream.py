@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from daq import channels
+from daq.clock import NEWEST_RULES
 from daq.drivers.following import Following
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import VescMotor
@@ -16,6 +17,9 @@ from daq.items import TX, Batch, DeviceEvent
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""
 STATUS_KNOWN = 1 << 24
+EVENT_RULES = 5
+"""Rules of a log (`daq.clock.clock_rules`) from which on these are events: late answers; on a CAN bus the start of a
+controller, missing status messages, each command of another node. Older logs decode to the same events as before."""
 
 _COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
 _JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
@@ -91,7 +95,8 @@ class VescPipeline:
     """Decoder of bytes to reports.
 
     A controller has no clock and does not number its answers. Samples get the host's time. A poll that was not answered
-    before the next poll counts as a loss.
+    before the next poll counts as a loss until its answer arrives late: each poll has one answer, and their order is
+    kept.
 
     Attributes:
         losses: see Pipeline.
@@ -99,16 +104,23 @@ class VescPipeline:
     """
 
     def __init__(
-        self, device: str, settings: VescMotor, line: Callable[[str, dict[str, int]], VescLine] = SerialLine
+        self,
+        device: str,
+        settings: VescMotor,
+        line: Callable[[str, dict[str, int]], VescLine] = SerialLine,
+        rules: int = NEWEST_RULES,
     ) -> None:
         self.losses: dict[str, int] = {}
         self._line = line(device, self.losses)
         self.losses |= {"unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
-        self._device, self._pole_pairs = device, settings.pole_pairs
+        self._device, self._pole_pairs, self._newer = device, settings.pole_pairs, rules >= EVENT_RULES
         self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
+        self._late = self._early = (
+            0  # answers that may still arrive: to polls counted as a loss, to one before a release
+        )
         self._last: wire.Values | None = None
         self._word: int | None = None
         self._following = Following(device, round(settings.follow_s * settings.report_Hz))
@@ -122,6 +134,8 @@ class VescPipeline:
             return []
         payloads, events = self._line.received(data, host_ns)
         out: list[Batch | DeviceEvent] = [*events]
+        if any(event.kind == "restart" for event in events):
+            self._last = None  # its smaller counters are the same restart
         words: list[int] = []
         for payload in payloads:
             if payload[0] == wire.GET_VALUES:
@@ -152,6 +166,7 @@ class VescPipeline:
         elif (command := wire.parse_command(payload)) is not None:
             before, self._command = self._command, _COMMANDS[command.what]
             if self._command == FREE != before:  # the poll that follows a release does not wait for an earlier answer
+                self._early += self._polled
                 self._polled = False
             self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
 
@@ -184,8 +199,21 @@ class VescPipeline:
         return out
 
     def _gap(self) -> list[DeviceEvent]:
+        if self._newer and not self._polled:
+            return self._surplus()
         lost, self._unanswered, self._polled = self._unanswered, 0, False
+        self._late += lost
         return [DeviceEvent("gap", self._device, f"{lost} polls not answered", {"samples": lost})] if lost else []
+
+    def _surplus(self) -> list[DeviceEvent]:
+        """Take an answer for which no poll is open. Return the event that takes a loss back, if it was late."""
+        if self._early or not self._late:
+            self._early = max(0, self._early - 1)
+            return []
+        self._late -= 1
+        self.losses["unanswered"] -= 1
+        text = "an answer was late: its poll was counted as not answered"
+        return [DeviceEvent("gap", self._device, text, {"samples": -1})]
 
     def _restart(self, values: wire.Values) -> list[DeviceEvent]:
         if self._last is None or not wire.restarted(self._last, values):

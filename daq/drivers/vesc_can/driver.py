@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq.drivers.can_lines import ADAPTER_BAUD, CLOSE_BUS, open_bus
+from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc.driver import VescDriver
 from daq.drivers.vesc.settings import VescMotor
 from daq.drivers.vesc_can.settings import VescCan
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -31,9 +33,22 @@ class VescCanDriver(VescDriver):
 
     def pipeline(self, device: str, settings: VescCan, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
+        from daq.clock import clock_rules
         from daq.drivers.vesc_can.stream import can_pipeline
 
-        return can_pipeline(device, settings)
+        return can_pipeline(device, settings, clock_rules(identity))
+
+    def checks(
+        self, settings: VescMotor, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
+        """See Driver: the state, the faults, and the rate of the status messages."""
+        from daq.drivers.vesc_can.status_watch import status_check
+        from daq.drivers.vesc_can.stream import VescCanPipeline
+
+        assert isinstance(settings, VescCan)
+        assert isinstance(pipeline, VescCanPipeline)
+        found = super().checks(settings, pipeline, control, events)
+        return {**found, "status_Hz": status_check(settings, pipeline.status)}
 
     def far_end(self, device: str, settings: VescCan, world: Any) -> FarEnd:
         """See Driver."""

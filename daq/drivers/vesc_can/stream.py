@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import CanLines, OtherHost
-from daq.drivers.vesc.stream import VescPipeline
+from daq.drivers.vesc import wire as vesc
+from daq.drivers.vesc.stream import EVENT_RULES, VescPipeline
 from daq.drivers.vesc_can import wire
 from daq.drivers.vesc_can.settings import VescCan
+from daq.drivers.vesc_can.status_watch import StatusWatch
 from daq.items import DeviceEvent
 from daq.transports.slcan import CanFrame
 
 _TO_HOST = (wire.FILL, wire.FILL_LONG, wire.PROCESS, wire.SHORT)
+_FIRMWARE = bytes([vesc.FIRMWARE_VERSION])
 
 
 class CanLine:
@@ -19,15 +23,24 @@ class CanLine:
         device: name of the device in the rig file.
         losses: losses of the pipeline.
         settings: table of the controller in the rig file.
+        rules: of the log, see `vesc.stream.EVENT_RULES`.
+
+    Attributes:
+        status: rate and absence of the status messages.
     """
 
-    def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
+    def __init__(self, device: str, losses: dict[str, int], settings: VescCan, rules: int = NEWEST_RULES) -> None:
         self.speeds_erpm: list[int] = []
         self.others: list[bytes] = []
         self._device, self._losses, self._settings = device, losses, settings
+        self._number, self._newer = settings.controller_id, rules >= EVENT_RULES
         self._lines, self._other_host = CanLines(device, losses), OtherHost(device)
         self._pieces = wire.Pieces(settings.controller_id)
+        self._asks_firmware = False  # whether the query of the firmware is not answered yet
+        self._others_heard = set[int]()  # other controllers whose status was reported
+        self._open_refused = False  # whether it was reported
         losses["damaged_answers"] = 0
+        self.status: StatusWatch = StatusWatch(device, losses, settings, reports=self._newer)
 
     def sent(self, data: bytes) -> list[bytes]:
         """See VescLine."""
@@ -36,6 +49,7 @@ class CanLine:
             if frame.extended and wire.split(frame.arbitration_id)[1] == self._settings.controller_id:
                 self._other_host.sent(frame)
                 out += [] if (payload := wire.payload_of(frame)) is None else [payload]
+        self._asks_firmware |= _FIRMWARE in out
         return out
 
     def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
@@ -46,30 +60,80 @@ class CanLine:
         for frame in frames:
             if frame.extended and not frame.remote:
                 events += self._frame(frame, host_ns, payloads)
-        return payloads, events
+        if payloads:
+            self._asks_firmware &= all(payload[:1] != _FIRMWARE for payload in payloads)
+        return payloads, [*self._refusal(), *events]
+
+    def _refusal(self) -> list[DeviceEvent]:
+        """Return a reply about an adapter that does not open the bus, once, while the query is not answered."""
+        if self._open_refused or not (self._asks_firmware and self._lines.open_refused):
+            return []
+        self._open_refused = True
+        return [DeviceEvent("reply", self._device, "the adapter refused to open the bus", {})]
 
     def _frame(self, frame: CanFrame, host_ns: int, payloads: list[bytes]) -> list[DeviceEvent]:
         command, number = wire.split(frame.arbitration_id)
-        if command == wire.STATUS and number == self._settings.controller_id:
-            status = wire.parse_status(frame.data)
-            if status is None:
-                return self._damage()
-            self.speeds_erpm.append(status.erpm)
-        elif command in _TO_HOST and number == self._settings.host_id:
+        if command == wire.STATUS:
+            return self._status(frame.data, host_ns) if number == self._number else self._other_status(number)
+        if command == wire.BOOT:
+            text = "the controller started again: it has sent the message of its start"
+            own = number == self._number and self._newer
+            return [DeviceEvent("restart", self._device, text, {})] if own else []
+        if command in _TO_HOST and number == self._settings.host_id:
             payload, damaged = self._pieces.take(command, frame.data)
-            payloads += [] if payload is None else [payload]
+            if payload is not None:
+                payloads.append(payload)
+                return self.status.answer(host_ns)
             return self._damage() if damaged else []
-        elif number == self._settings.controller_id and (payload := wire.payload_of(frame)) is not None:
-            if not self._other_host.replaced:
-                self.others.append(payload)
-            return self._other_host.received(frame, host_ns)
-        return []
+        return self._foreign(frame, number, host_ns) if number in (self._number, wire.EVERY) else []
+
+    def _status(self, data: bytes, host_ns: int) -> list[DeviceEvent]:
+        status = wire.parse_status(data)
+        if status is None:
+            return self._damage()
+        self.speeds_erpm.append(status.erpm)
+        return self.status.message(host_ns)
+
+    def _other_status(self, number: int) -> list[DeviceEvent]:
+        """Return a reply about another controller's status, once, while the query of the firmware is not answered."""
+        if not self._asks_firmware or number in self._others_heard:
+            return []
+        self._others_heard.add(number)
+        text = f"status messages of controller {number}"
+        return [DeviceEvent("reply", self._device, text, {"controller_id": number})]
+
+    def _foreign(self, frame: CanFrame, number: int, host_ns: int) -> list[DeviceEvent]:
+        """Take a frame to the controller from the bus. A session that only receives uses those of the rig's host."""
+        payload = wire.payload_of(frame)
+        acts = wire.is_command(frame) if self._newer else number == self._number and payload is not None
+        of_rig = acts or frame.data[:1] == bytes([self._settings.host_id])
+        if payload is not None and of_rig and not self._other_host.replaced:
+            self.others.append(payload)
+        return self._other_host.received(frame, host_ns) if acts else []
 
     def _damage(self) -> list[DeviceEvent]:
         self._losses["damaged_answers"] += 1
         return [DeviceEvent("damage", self._device, "a damaged answer dropped", {"answers": 1})]
 
 
-def can_pipeline(device: str, settings: VescCan) -> VescPipeline:
+class VescCanPipeline(VescPipeline):
+    """See VescPipeline.
+
+    Attributes:
+        status: rate and absence of the status messages.
+    """
+
+    def __init__(self, device: str, settings: VescCan, rules: int = NEWEST_RULES) -> None:
+        lines: list[CanLine] = []
+
+        def line(name: str, losses: dict[str, int]) -> CanLine:
+            lines.append(CanLine(name, losses, settings, rules))
+            return lines[0]
+
+        super().__init__(device, settings, line, rules)
+        self.status: StatusWatch = lines[0].status
+
+
+def can_pipeline(device: str, settings: VescCan, rules: int = NEWEST_RULES) -> VescCanPipeline:
     """Make the pipeline of a controller on the bus."""
-    return VescPipeline(device, settings, lambda name, losses: CanLine(name, losses, settings))
+    return VescCanPipeline(device, settings, rules)

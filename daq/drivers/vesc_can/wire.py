@@ -19,7 +19,18 @@ SET_CURRENT, SET_BRAKE, SET_RPM = 1, 2, 3
 FILL, FILL_LONG, PROCESS, SHORT = 5, 6, 7, 8
 """Pieces of a payload: with an offset of 8 and of 16 bits; its end with length and CRC; a payload of up to 6 bytes."""
 STATUS = 9
+BOOT = 57
+"""Message of a controller that has started, from firmware 6 on; its data are the name of the hardware."""
+EVERY = 255
+"""Number of a receiver that stands for every controller."""
 
+_MOVES = frozenset({0, SET_CURRENT, SET_BRAKE, SET_RPM, 4, 10, 11, 12, 13})
+"""Commands to the motor: duty cycle, currents, speed, position, hand brakes. They reset the timeout."""
+_CHANGES = frozenset({19, 21, 22, 23, 24, 25, 26, 29, 30, 31})
+"""Measurement of the motor, new limits of currents and speeds, new limits of the supply's voltage, shutdown."""
+_QUERIES = frozenset({0, 4, 14, 15, 17, 18, 31, 32, 33, 47, 50, 51, 62, 65})
+"""Payloads that only query: firmware, values, settings, inputs, other nodes, sensor of motion."""
+_ANSWERED = 1  # second byte of the end of an answer
 _ANSWER = 0  # second byte of a query: answer to the sender on the bus
 _SIMPLE = {SET_CURRENT: vesc.SET_CURRENT, SET_BRAKE: vesc.SET_BRAKE, SET_RPM: vesc.SET_RPM}
 _STATUS = struct.Struct(">ihh")
@@ -88,6 +99,18 @@ def payload_of(sent: CanFrame) -> bytes | None:
     if command in _SIMPLE and len(sent.data) == 4:
         return bytes([_SIMPLE[command]]) + sent.data
     return sent.data[2:] if command == SHORT and len(sent.data) > 2 else None
+
+
+def is_command(sent: CanFrame) -> bool:
+    """Return whether a frame of a host acts on its receiver: on the motor, on its timeout or on its settings.
+
+    A payload in pieces is longer than any query, so its end counts as a command unless it is an answer.
+    """
+    command, _ = split(sent.arbitration_id)
+    if command in (PROCESS, SHORT) and len(sent.data) > 2:
+        queries = command == SHORT and sent.data[2] in _QUERIES
+        return sent.data[1] != _ANSWERED and not queries
+    return command in _MOVES | _CHANGES
 
 
 @dataclass(frozen=True)
