@@ -89,13 +89,16 @@ class PacketDecoder:
     Args:
         range_mm: measuring range of the sensor, mm.
         check: what the check is; packets whose check is wrong are skipped.
+        keeps_first: whether packets of the first sensor are still recognised at once when those of another one were.
     """
 
-    def __init__(self, range_mm: int, check: Check) -> None:
+    def __init__(self, range_mm: int, check: Check, *, keeps_first: bool = True) -> None:
         self._range_mm = range_mm
         self._check: Check = check
         self._rest = b""
         self._before = 0  # number of bytes before these
+        self._keeps_first = keeps_first
+        self._first: tuple[int, int, int] | None = None
         self._sensor: tuple[int, int, int] | None = None
         self._others: dict[int, tuple[int, int, int]] = {}  # identities of possible other sensors, by position
 
@@ -115,6 +118,7 @@ class PacketDecoder:
                 continue
             found.packets.append(packet)
             self._sensor = packet.sensor
+            self._first = self._first or packet.sensor
             self._others.clear()
             at += PACKET_BYTES
         self._rest = stream[at:]
@@ -131,6 +135,8 @@ class PacketDecoder:
             return None
         packet = parse(data)
         if packet.sensor == self._sensor or self._others.get(position - PACKET_BYTES) == packet.sensor:
+            return packet
+        if self._keeps_first and packet.sensor == self._first:
             return packet
         if self._sensor is None and position == 0:
             return packet
