@@ -310,7 +310,16 @@ def test_a_sensor_is_recognised_by_two_packets_of_any_range() -> None:
     assert found is not None
     assert found.settings == {"range_m": 0.05, "serial": "677"}
     assert found.identity == {"serial": 677, "base_mm": 80, "range_mm": 50}
-    for other in (packet(3), packet(3) + packet(3), packet(3, range_mm=0) + packet(4, range_mm=0), bytes(3000)):
+    alone = identity.recognise(settings(), packet(3))
+    assert alone is not None
+    assert alone.settings == {"range_m": 0.025, "serial": "677"}
+    for other in (
+        packet(3)[1:],
+        packet(3) + packet(3),
+        packet(3, range_mm=0) + packet(4, range_mm=0),
+        bytes(512),
+        bytes(3000),
+    ):
         assert identity.recognise(settings(), other) is None
     assert identity.recognise(settings(), packet(3, code=40000) + packet(4, code=40000)) is None
 

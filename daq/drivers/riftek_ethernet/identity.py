@@ -1,4 +1,4 @@
-"""What received bytes tell of a sensor: recognition of one on a port, and words for packets that are not decoded."""
+"""Identification of a sensor by its bytes: recognition of one on a port, and words for packets that are not decoded."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ _RESULT_BYTES, _TAIL_BYTES = 3, 8
 
 
 def recognise(settings: RiftekEthernetLaser, data: bytes) -> FoundDevice | None:
-    """Return the sensor of the first two consecutive packets; see RecognisesBytes."""
+    """Return the sensor of the first two consecutive packets, or of the only one; see RecognisesBytes."""
+    if len(data) == wire.PACKET_BYTES and _is_plausible(only := wire.parse(data)):
+        return _found(only)
     for at in range(min(wire.PACKET_BYTES, len(data) - 2 * wire.PACKET_BYTES + 1)):
         middle = at + wire.PACKET_BYTES
         if data[middle - _TAIL_BYTES : middle - 2] != data[middle - _TAIL_BYTES + wire.PACKET_BYTES :][:6]:
             continue
         first, second = wire.parse(data[at:middle]), wire.parse(data[middle : middle + wire.PACKET_BYTES])
         if second.number == (first.number + 1) % wire.NUMBERS and _is_plausible(first) and _is_plausible(second):
-            facts = {"serial": first.serial, "base_mm": first.base_mm, "range_mm": first.range_mm}
-            return FoundDevice({"range_m": first.range_mm / 1000, "serial": str(first.serial)}, facts)
+            return _found(first)
     return None
+
+
+def _found(packet: wire.Packet) -> FoundDevice:
+    facts = {"serial": packet.serial, "base_mm": packet.base_mm, "range_mm": packet.range_mm}
+    return FoundDevice({"range_m": packet.range_mm / 1000, "serial": str(packet.serial)}, facts)
 
 
 def words_for(data: bytes, range_mm: int, check: wire.Check) -> str:

@@ -1,10 +1,10 @@
 """Order of the packets of an RF60x sensor: which are lost, come twice or late, and where the sensor started again.
 
 A packet has its number modulo 256 and the host's time, which is late by the delay of network and host, and never
-early. The least late of the newest packets therefore tell which number is due at a time. A packet whose number is not
-the next one shows a loss if its number is due. If it is not, either the host read it late, or the sensor started
+early. The least late of the newest packets therefore give the number that is due at a time. A packet whose number is
+not the next one shows a loss if its number is due. If it is not, either the host read it late, or the sensor started
 again: the packets after it decide. Packets that the host read late are followed by others at once, until one is in
-time; a sensor that started again goes on at its usual pace and stays late.
+time; a sensor that started again continues at its usual pace and stays late.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.drivers.riftek_ethernet.wire import NUMBERS, RESULTS, Packet
 
-_WINDOW = 32  # newest packets whose host times tell which number is due
+_WINDOW = 32  # newest packets whose host times give the number that is due
 _LEAST_WINDOW = 9  # fewer packets may all have been late
 _LEAST_MISMATCH = 5e-3  # of the sensor's rate from that of the rig file, that is taken for real
 _TOLERANCE_S, _TOLERANCE_PACKETS, _TOLERANCE_SHARE = 0.02, 0.5, 1e-3  # of a number from the one that is due
