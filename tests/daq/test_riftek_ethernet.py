@@ -155,7 +155,7 @@ def ends(items: list[Batch | DeviceEvent]) -> list[float]:
 
 
 @pytest.mark.parametrize("off", [0.6, 3.0, 20.0, 23.4])
-@pytest.mark.parametrize("number", [0, 1, 36, 44, 255])
+@pytest.mark.parametrize("number", [0, 1, 36, 48, 255])
 def test_a_restart_is_no_loss_although_its_number_is_near_that_of_the_time(off: float, number: int) -> None:
     """A number that was 1 s off was taken for a loss, and the times were then wrong by as much."""
     line = pipeline()
@@ -212,6 +212,32 @@ def test_packets_without_a_place_at_the_end_of_the_log_are_returned() -> None:
     assert kinds(found) == ["restart"]
     assert len(found) == 3
     assert line.feed(RX, b"", at(62)) == []
+
+
+def test_packets_that_wait_for_the_host_at_the_end_of_the_log_are_no_restart() -> None:
+    line = pipeline()
+    assert stream_of(line, (42, 60), (43, 60), (45, 60)) == []
+    found = line.feed(RX, b"", at(60))
+    assert kinds(found) == ["gap", "gap"]
+    assert line.losses["samples"] == 3 * 168
+
+
+def test_a_number_that_is_a_little_high_after_a_stall_is_no_restart() -> None:
+    """The newest packets had all waited, so that none of them was in time."""
+    line = pipeline()
+    waiting = [(40 + n, 70.0 + 0.9) for n in range(31)]
+    found = stream_of(line, *waiting, (72, 72.0))
+    assert kinds(found) == ["gap"]
+    assert line.losses["samples"] == 168
+
+
+def test_an_outage_of_almost_256_packets_is_a_loss() -> None:
+    """The number is then little below that of the newest packet."""
+    for lost in (249, 255):
+        line = pipeline()
+        found = stream_of(line, (40 + lost, 40 + lost), (41 + lost, 41 + lost))
+        assert kinds(found) == ["gap"]
+        assert line.losses["samples"] == lost * 168
 
 
 def test_logs_of_older_rules_are_decoded_as_before() -> None:
