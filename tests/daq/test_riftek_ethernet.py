@@ -252,18 +252,18 @@ def test_logs_of_older_rules_are_decoded_as_before() -> None:
 
 def test_another_sensor_gives_no_samples() -> None:
     line = pipeline(serial=678)
+    assert kinds(line.feed(RX, packet(0), 0)) == ["damage"]
     assert kinds(line.feed(RX, packet(0), S)) == ["fault"]
     assert line.has_reported
     assert "expected serial number 678" in line.complaint
     assert line.feed(RX, packet(1), S) == []
-    damage, batch = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
-    assert isinstance(damage, DeviceEvent)
-    assert isinstance(batch, Batch)
+    found = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
+    assert [isinstance(item, Batch) for item in found] == [True, True]
     assert line.complaint == ""
     assert line.learned == {"serial": 678}
     first = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 5})
     assert first.learned == {}
-    assert kinds(first.feed(RX, packet(0), S)) == ["fault"]
+    assert kinds(first.feed(RX, packet(0), 0) + first.feed(RX, packet(1), S)) == ["damage", "fault"]
 
 
 def test_a_sensor_of_another_range_gives_bytes_that_are_not_packets() -> None:
@@ -303,6 +303,14 @@ def test_a_complaint_ends_with_the_first_packet_of_the_sensor() -> None:
     (event,) = line.feed(RX, packet(3), at(3))[:1]
     assert isinstance(event, DeviceEvent)
     assert event.kind == "damage"
+
+
+def test_a_log_that_begins_with_a_packet_of_another_sensor_goes_on() -> None:
+    line = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 677})
+    found = [item for n in range(30) for s in (678, 677) for item in line.feed(RX, packet(n, serial=s), at(n))]
+    assert set(kinds(found)) == {"damage"}
+    assert sum(isinstance(item, Batch) for item in found) >= 28
+    assert line.complaint == ""
 
 
 def test_another_sensor_that_sends_to_the_same_port_ends_no_recording() -> None:

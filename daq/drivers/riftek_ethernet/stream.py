@@ -45,14 +45,16 @@ class RiftekEthernetPipeline:
         self._device, self._settings, self._channel = device, settings, channel
         self._rules = clock_rules(identity)
         self._judges = self._rules >= ORDER_RULES  # else everything is as it was when the log was recorded
-        self._decoder = wire.PacketDecoder(settings.range_mm, settings.checksum, keeps_first=self._judges)
+        known = identity.get("serial")
+        self._wanted = settings.serial_number or (known if type(known) is int else 0)  # 0: the first one
+        self._decoder = wire.PacketDecoder(
+            settings.range_mm, settings.checksum, keeps_first=self._judges, serial=self._wanted
+        )
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
         self._period_ns = 1e9 / settings.rate_Hz
         self._order: Order = (PacketOrder if self._judges else FirstOrder)(settings.rate_Hz)
-        known = identity.get("serial")
-        self._wanted = settings.serial_number or (known if type(known) is int else 0)  # 0: the first one
         self._serial: int | None = None
-        self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor
+        self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor, or of the first read
         self._next = 0  # number of the next sample
 
     @property
@@ -77,6 +79,7 @@ class RiftekEthernetPipeline:
         out: Items = []
         if not data:
             return [item for placed in self._order.end() for item in self._placed(placed)]
+        self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
         found = self._decoder.feed(data)
         if found.skipped_bytes:
             is_named = self._judges and not found.packets
@@ -95,7 +98,7 @@ class RiftekEthernetPipeline:
 
     def _is_between(self, serial: int, host_ns: int) -> bool:
         """Return whether a packet is of another sensor, while the expected one still sends to the same port."""
-        if not self._judges or self._heard_ns is None or serial == self._wanted:
+        if not self._judges or self._heard_ns is None or serial == (self._wanted or serial):
             return False
         return host_ns - self._heard_ns < max(_OTHER_S * 1e9, _OTHER_PACKETS * wire.RESULTS * self._period_ns)
 
