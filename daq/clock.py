@@ -94,7 +94,7 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     From 3 on, encoder blocks after a gap wait for retransmitted blocks. From 6 on, a speed of 0 is doubted if no ramp
     explains it, and packets of sensors on a network are compared with their counter, their time of arrival and their
-    flags. For the others see `ClockMap`.
+    flags; packets whose number contradicts the host's time wait for those after them. For the others see `ClockMap`.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

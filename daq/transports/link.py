@@ -29,6 +29,7 @@ _TTY_BYTES = 4096  # most that one read of a serial port or pty returns
 _FULL_BYTES = 2048  # a read of this size is followed by another one: more may have arrived
 _MOST_FOREIGN = 16  # senders that are reported
 _DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
+_RESERVED_PORTS = 1024  # numbers below it need a permission
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
 _PROBE_S, _PROBES = 3, 100  # period of the probes of a silent connection, s; unanswered ones until it is lost
@@ -96,6 +97,11 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
             raise LinkLost(
                 f"{port}: another program has it open ({error}). End that program first: a line has one master"
+            ) from error
+        if isinstance(error, PermissionError) and port.startswith("udp://"):
+            raise LinkLost(
+                f"{port}: cannot be opened ({error}). Most systems reserve the ports below {_RESERVED_PORTS}: permit "
+                "this user to open them, on Linux by the setting net.ipv4.ip_unprivileged_port_start"
             ) from error
         raise LinkLost(
             f"{port}: cannot be opened ({error}). Is the device plugged in, the port's name right, "
@@ -256,7 +262,9 @@ class SocketLink:
 
 
 class DatagramLink:
-    """A device that sends datagrams to a UDP port of this host. A read returns one datagram.
+    """A device that sends datagrams to a UDP port of this host. A read returns all that wait, in succession.
+
+    A reader that rests between two reads would otherwise fall behind a device that sends more often.
 
     Args:
         address: address of this host at which they arrive; "" or "0.0.0.0" for every one.
@@ -282,20 +290,30 @@ class DatagramLink:
 
     def read(self, timeout_s: float) -> bytes:
         """See Link."""
-        try:
-            ready, _, _ = select.select([self._socket], [], [], timeout_s)
-            if not ready:
-                return b""
-            count, sender = self._socket.recvfrom_into(self._buffer)
-        except (OSError, ValueError) as error:
-            raise LinkLost(f"{self.name}: lost while reading ({error})") from error
-        if self._device and sender[0] != self._device:
-            if sender[0] not in self._foreign and len(self._foreign) < _MOST_FOREIGN:
-                self._foreign.add(sender[0])
-                _log.warning("%s: datagrams from %s are dropped: the device is %s", self.name, sender[0], self._device)
-            return b""
-        self._sender = sender
-        return bytes(self._buffer[:count])
+        out: list[bytes] = []
+        size, wait_s = 0, timeout_s
+        while size < _READ_BYTES:
+            try:
+                ready, _, _ = select.select([self._socket], [], [], wait_s)
+                if not ready:
+                    break
+                count, sender = self._socket.recvfrom_into(self._buffer)
+            except (OSError, ValueError) as error:
+                raise LinkLost(f"{self.name}: lost while reading ({error})") from error
+            size, wait_s = size + max(1, count), 0.0
+            if not self._is_foreign(sender[0]):
+                self._sender = sender
+                out.append(bytes(self._buffer[:count]))
+        return b"".join(out)
+
+    def _is_foreign(self, sender: str) -> bool:
+        """Return whether a datagram is not of the device; each other sender is reported once."""
+        if not self._device or sender == self._device:
+            return False
+        if sender not in self._foreign and len(self._foreign) < _MOST_FOREIGN:
+            self._foreign.add(sender)
+            _log.warning("%s: datagrams from %s are dropped: the device is %s", self.name, sender, self._device)
+        return True
 
     def write(self, data: bytes) -> None:
         """See Link. The bytes are sent to the device from which the newest datagram has come."""

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 import rig_testing
 from daq.channels import displacement_channel
-from daq.drivers.riftek_ethernet import wire
+from daq.drivers.riftek_ethernet import identity, wire
 from daq.drivers.riftek_ethernet.driver import RiftekEthernet
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
@@ -130,28 +130,140 @@ def test_packets_that_come_twice_or_late_give_no_samples() -> None:
 
 
 def test_a_sensor_that_starts_again_is_reported() -> None:
-    """Also if its number then happens to be that of a packet that is a little late."""
+    """Also if its number then happens to be that of a packet that is a little late, with all of its samples."""
     line = pipeline()
     line.feed(RX, packet(100), at(100))
     assert kinds(line.feed(RX, packet(0), at(130))) == ["restart"]
-    assert [kinds(line.feed(RX, packet(250 + n), at(131 + n))) for n in range(4)] == [[], [], [], ["restart"]]
+    found = [item for n in range(8) for item in line.feed(RX, packet(250 + n), at(131 + n))]
+    assert kinds(found) == ["restart"]
+    assert sum(isinstance(item, Batch) for item in found) == 8
     assert line.losses["samples"] == 0
+    assert line.repeated_packets == 0
+
+
+def stream_of(line: RiftekEthernetPipeline, *reads: tuple[int, float]) -> list[Batch | DeviceEvent]:
+    """Feed 40 packets, then those with these numbers and host times, in packets."""
+    for number in range(40):
+        line.feed(RX, packet(number), at(number))
+    times = [round((100 + when * PACKET_S) * S) for _, when in reads]
+    return [item for (number, _), ns in zip(reads, times, strict=True) for item in line.feed(RX, packet(number), ns)]
+
+
+def ends(items: list[Batch | DeviceEvent]) -> list[float]:
+    """Times of the last samples, in packets."""
+    return [(item.time_ns[-1] / S - 100) / PACKET_S for item in items if isinstance(item, Batch)]
+
+
+@pytest.mark.parametrize("off", [0.6, 3.0, 20.0, 23.4])
+@pytest.mark.parametrize("number", [0, 1, 36, 48, 255])
+def test_a_restart_is_no_loss_although_its_number_is_near_that_of_the_time(off: float, number: int) -> None:
+    """A number that was 1 s off was taken for a loss, and the times were then wrong by as much."""
+    line = pipeline()
+    found = stream_of(line, *((number + n, 40 + off + n) for n in range(12)))
+    assert kinds(found) == ["restart"]
+    assert line.losses["samples"] == line.repeated_packets == 0
+    assert ends(found) == pytest.approx([40 + off + n for n in range(12)], abs=0.01)
+
+
+def test_a_counter_that_is_set_to_zero_at_once_loses_no_packet() -> None:
+    """An input of the sensor can do that; the packets after it looked like late ones, and were dropped."""
+    line = pipeline()
+    for number in range(4):
+        line.feed(RX, packet(number), at(number))
+    found = [item for n in range(20) for item in line.feed(RX, packet(n), at(4 + n))]
+    assert kinds(found) == ["restart"]
+    assert ends(found) == pytest.approx([4 + n for n in range(20)], abs=0.01)
+
+
+@pytest.mark.parametrize("stall", [10, 40, 90])
+def test_a_host_that_stalls_is_no_restart(stall: int) -> None:
+    """The packets that waited were taken for those of a sensor that started again, with times late by the stall."""
+    line = pipeline()
+    found = stream_of(line, *((40 + n, 40 + max(n, stall)) for n in range(stall + 30)))
+    assert kinds(found) == []
+    assert ends(found) == pytest.approx([40 + n for n in range(stall + 30)], abs=1.0)
+    assert line.losses["samples"] == 0
+
+
+def test_packets_lost_while_the_host_stalls_are_counted_when_it_is_in_time_again() -> None:
+    line = pipeline()
+    waiting = [(40 + n, 70.0) for n in range(30) if n not in (7, 8)]
+    found = stream_of(line, *waiting, *((70 + n, 70.0 + n) for n in range(9)))
+    assert kinds(found) == ["gap"]
+    assert line.losses["samples"] == 2 * 168
+    assert sum(isinstance(item, Batch) for item in found) == 37
+    assert ends(found)[-1] == pytest.approx(78, abs=0.05)
+
+
+@pytest.mark.parametrize("ratio", [0.125, 0.8, 0.96, 1.04, 1.25, 8.0])
+def test_losses_of_a_sensor_with_another_rate_are_counted_without_restarts(ratio: float) -> None:
+    """The rate of the rig file is wrong; that is reported elsewhere."""
+    line = pipeline()
+    numbers = [n for n in range(120) if n not in (50, *range(70, 90))]
+    found = [item for n in numbers for item in line.feed(RX, packet(n), round((100 + n * ratio * PACKET_S) * S))]
+    assert kinds(found) == ["gap", "gap"]
+    assert line.losses["samples"] == 21 * 168
+
+
+def test_packets_without_a_place_at_the_end_of_the_log_are_returned() -> None:
+    line = pipeline()
+    assert stream_of(line, (45, 60), (46, 61), (46, 61)) == []
+    found = line.feed(RX, b"", at(62))
+    assert kinds(found) == ["restart"]
+    assert len(found) == 3
+    assert line.feed(RX, b"", at(62)) == []
+
+
+def test_packets_that_wait_for_the_host_at_the_end_of_the_log_are_no_restart() -> None:
+    line = pipeline()
+    assert stream_of(line, (42, 60), (43, 60), (45, 60)) == []
+    found = line.feed(RX, b"", at(60))
+    assert kinds(found) == ["gap", "gap"]
+    assert line.losses["samples"] == 3 * 168
+
+
+def test_a_number_that_is_a_little_high_after_a_stall_is_no_restart() -> None:
+    """The newest packets had all waited, so that none of them was in time."""
+    line = pipeline()
+    waiting = [(40 + n, 70.0 + 0.9) for n in range(31)]
+    found = stream_of(line, *waiting, (72, 72.0))
+    assert kinds(found) == ["gap"]
+    assert line.losses["samples"] == 168
+
+
+def test_an_outage_of_almost_256_packets_is_a_loss() -> None:
+    """The number is then little below that of the newest packet."""
+    for lost in (249, 255):
+        line = pipeline()
+        found = stream_of(line, (40 + lost, 40 + lost), (41 + lost, 41 + lost))
+        assert kinds(found) == ["gap"]
+        assert line.losses["samples"] == lost * 168
+
+
+def test_logs_of_older_rules_are_decoded_as_before() -> None:
+    line = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"clock_rules": 5})
+    assert kinds(stream_of(line, (0, 247.0))) == ["gap"]
+    assert line.losses["samples"] == 216 * 168
+    assert kinds(line.feed(RX, packet(1), at(280))) == ["restart"]
+    assert [kinds(line.feed(RX, packet(250 + n), at(281 + n))) for n in range(4)] == [[], [], [], ["restart"]]
+    assert line.repeated_packets == 3
+    assert line.feed(RX, b"", at(300)) == []
 
 
 def test_another_sensor_gives_no_samples() -> None:
     line = pipeline(serial=678)
+    assert kinds(line.feed(RX, packet(0), 0)) == ["damage"]
     assert kinds(line.feed(RX, packet(0), S)) == ["fault"]
     assert line.has_reported
     assert "expected serial number 678" in line.complaint
     assert line.feed(RX, packet(1), S) == []
-    damage, batch = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
-    assert isinstance(damage, DeviceEvent)
-    assert isinstance(batch, Batch)
+    found = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
+    assert [isinstance(item, Batch) for item in found] == [True, True]
     assert line.complaint == ""
     assert line.learned == {"serial": 678}
     first = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 5})
     assert first.learned == {}
-    assert kinds(first.feed(RX, packet(0), S)) == ["fault"]
+    assert kinds(first.feed(RX, packet(0), 0) + first.feed(RX, packet(1), S)) == ["damage", "fault"]
 
 
 def test_a_sensor_of_another_range_gives_bytes_that_are_not_packets() -> None:
@@ -160,6 +272,97 @@ def test_a_sensor_of_another_range_gives_bytes_that_are_not_packets() -> None:
     assert isinstance(damage, DeviceEvent)
     assert "range of 25 mm" in damage.text
     assert line.losses["bytes"] == 513
+
+
+@pytest.mark.parametrize(
+    ("data", "check", "words"),
+    [
+        (packet(0, range_mm=50), "none", "a packet of sensor 677 with a range of 50 mm"),
+        (packet(0, code=0), "xor", 'whose last byte is not that of checksum = "xor"'),
+        (packet(0, code=0)[:-1] + bytes([sum(packet(0, code=0)) % 256]), "xor", 'but of checksum = "sum"'),
+        (packet(0)[:300] + packet(0)[-8:], "none", "a packet of 100 results: set the sensor to 168"),
+    ],
+)
+def test_what_comes_instead_of_packets_is_named_before_the_first_one(data: bytes, check: str, words: str) -> None:
+    line = pipeline(checksum=check)
+    texts = [item.text for _ in range(3) for item in line.feed(RX, data, S) if isinstance(item, DeviceEvent)]
+    assert words in texts[-1]
+    assert words in line.complaint
+    assert line.complaint.startswith("expected packets of a sensor with a range of 25 mm, got a packet")
+    assert not line.has_reported
+
+
+def test_a_complaint_ends_with_the_first_packet_of_the_sensor() -> None:
+    line = pipeline()
+    line.feed(RX, packet(0, range_mm=50), S)
+    assert "50 mm" in line.complaint
+    found = [item for n in range(3) for item in line.feed(RX, packet(n), at(n))]
+    assert line.complaint == ""
+    assert sum(isinstance(item, Batch) for item in found) == 2
+    line.feed(RX, packet(9, serial=678), at(3))
+    (event,) = line.feed(RX, packet(3), at(3))[:1]
+    assert isinstance(event, DeviceEvent)
+    assert event.kind == "damage"
+
+
+def test_a_log_that_begins_with_a_packet_of_another_sensor_goes_on() -> None:
+    line = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 677})
+    found = [item for n in range(30) for s in (678, 677) for item in line.feed(RX, packet(n, serial=s), at(n))]
+    assert set(kinds(found)) == {"damage"}
+    assert sum(isinstance(item, Batch) for item in found) >= 28
+    assert line.complaint == ""
+
+
+def test_another_sensor_that_sends_to_the_same_port_ends_no_recording() -> None:
+    """Two of its packets in succession were a fault, and the packets of the sensor were skipped from then on."""
+    line = pipeline()
+    for number in range(3):
+        line.feed(RX, packet(number), at(number))
+    found: list[Batch | DeviceEvent] = []
+    for number in range(3, 60):
+        for data in (packet(2 * number, serial=678), packet(2 * number + 1, serial=678), packet(number)):
+            found += line.feed(RX, data, at(number))
+    assert set(kinds(found)) == {"damage"}
+    assert sum(isinstance(item, Batch) for item in found) == 57
+    assert line.losses["samples"] == 0
+    assert line.losses["bytes"] == 57 * 2 * 512
+    texts = {item.text[item.text.index(";") :] for item in found if isinstance(item, DeviceEvent) and ";" in item.text}
+    assert "; received: a packet of sensor 678" in texts
+    assert line.complaint == ""
+    found = [item for n in range(30) for item in line.feed(RX, packet(n, serial=678), at(60 + n))]
+    assert "fault" in kinds(found)
+    assert "got packets of sensor 678" in line.complaint
+
+
+@pytest.mark.parametrize("noise", [b"\x01\x02", b"\xff" * 512, bytes(512), b"M-SEARCH * HTTP/1.1" * 30, bytes(8)])
+def test_bytes_that_are_no_packet_are_not_named(noise: bytes) -> None:
+    assert identity.words_for(noise, 25, "none") == ""
+
+
+def test_a_sensor_is_recognised_by_two_packets_of_any_range() -> None:
+    found = identity.recognise(settings(), b"\x00" + packet(255, range_mm=50) + packet(256, range_mm=50) + b"\x01")
+    assert found is not None
+    assert found.settings == {"range_m": 0.05, "serial": "677"}
+    assert found.identity == {"serial": 677, "base_mm": 80, "range_mm": 50}
+    alone = identity.recognise(settings(), packet(3))
+    assert alone is not None
+    assert alone.settings == {"range_m": 0.025, "serial": "677"}
+    for other in (
+        packet(3)[1:],
+        packet(3) + packet(3),
+        packet(3, range_mm=0) + packet(4, range_mm=0),
+        bytes(512),
+        bytes(3000),
+    ):
+        assert identity.recognise(settings(), other) is None
+    assert identity.recognise(settings(), packet(3, code=40000) + packet(4, code=40000)) is None
+
+
+def test_the_uncertainty_of_the_times_is_stated() -> None:
+    line = pipeline()
+    stds = [line.clock_std_ns for n in range(50) for _ in line.feed(RX, packet(n), at(n))]
+    assert stds[0] > 1e6
+    assert stds[-1] < 1e5
 
 
 def test_bytes_that_look_like_another_sensor_are_not_taken_for_one() -> None:
@@ -202,7 +405,7 @@ def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, k
         assert set(losses) == {kind} - {""}
         assert losses.get("samples", 3 * 168) == 3 * 168
         bench.far.fail("other", 9)
-        bench.time.pass_time(0.5)
+        bench.time.pass_time(1.5)
         assert "got packets of sensor 9" in str(getattr(bench.pipeline, "complaint", ""))
         with pytest.raises(ValueError, match="no fault 'x'"):
             bench.far.fail("x", math.nan)

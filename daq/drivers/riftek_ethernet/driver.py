@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.contract import DeviceLine, Pipeline, Talk
+from daq.drivers.identification import FoundDevice
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.drivers.simulated import FarEnd
@@ -45,6 +46,12 @@ class RiftekEthernet(DisplacementDriver):
     def open(self, device: str, settings: RiftekEthernetLaser, talk: Talk) -> dict[str, Any]:
         """See Driver; the sensor sends without a command, and its packets have its serial number."""
         return {"driver": self.name, "port": settings.port}
+
+    def recognise(self, settings: RiftekEthernetLaser, data: bytes) -> FoundDevice | None:
+        """See RecognisesBytes."""
+        from daq.drivers.riftek_ethernet.identity import recognise
+
+        return recognise(settings, data)
 
 
 DRIVER = RiftekEthernet()

@@ -1,8 +1,7 @@
 """Pipeline of an RF60x sensor on Ethernet: packets to displacement of the disk centre.
 
 The time of a sample is its number times the sampling period on the sensor's clock, mapped to the common clock.
-Datagrams can be lost, come twice, or come late; the packets' number shows it, and the host's time how often the number
-wrapped.
+Datagrams can be lost, come twice, or come late, and the sensor may start again: see `order`.
 """
 
 from __future__ import annotations
@@ -17,13 +16,14 @@ from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.riftek.wire import FULL_SCALE, metres
 from daq.drivers.riftek_ethernet import wire
+from daq.drivers.riftek_ethernet.identity import words_for
+from daq.drivers.riftek_ethernet.order import ORDER_RULES, FirstOrder, Order, PacketOrder, Placed
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
-_MAX_OFF_S = 1.0  # difference of the numbers' time from the host's that shows a restart
-_MAX_LATE = 3  # consecutive packets that come twice or late; more show a restart
 _COUNTER_WRAP = 2**32
+_OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets of another one are a fault
 
 Items = list[Batch | DeviceEvent]
 
@@ -34,7 +34,6 @@ class RiftekEthernetPipeline:
     Attributes:
         losses: see Pipeline. "samples": missing by the packets' number; "bytes": skipped; "invalid": without a reading.
         has_reported, complaint: see DescribesItself; every packet has the sensor's serial number.
-        repeated_packets: number of packets that came twice or too late.
     """
 
     def __init__(
@@ -43,18 +42,19 @@ class RiftekEthernetPipeline:
         self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0}
         self.has_reported: bool = False
         self.complaint: str = ""
-        self.repeated_packets: int = 0
         self._device, self._settings, self._channel = device, settings, channel
-        self._decoder = wire.PacketDecoder(settings.range_mm, settings.checksum)
         self._rules = clock_rules(identity)
-        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
-        self._period_ns = 1e9 / settings.rate_Hz
-        self._packet_s = wire.RESULTS / settings.rate_Hz
+        self._judges = self._rules >= ORDER_RULES  # else everything is as it was when the log was recorded
         known = identity.get("serial")
         self._wanted = settings.serial_number or (known if type(known) is int else 0)  # 0: the first one
+        self._decoder = wire.PacketDecoder(
+            settings.range_mm, settings.checksum, keeps_first=self._judges, serial=self._wanted
+        )
+        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._period_ns = 1e9 / settings.rate_Hz
+        self._order: Order = (PacketOrder if self._judges else FirstOrder)(settings.rate_Hz)
         self._serial: int | None = None
-        self._newest: tuple[int, int] | None = None  # number of the newest packet; its host time, ns
-        self._late = 0  # number of consecutive packets that came twice or late
+        self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor, or of the first read
         self._next = 0  # number of the next sample
 
     @property
@@ -62,46 +62,73 @@ class RiftekEthernetPipeline:
         """See ObservesIdentity."""
         return {} if self._serial is None else {"serial": self._serial}
 
+    @property
+    def repeated_packets(self) -> int:
+        """Number of packets that came twice or too late."""
+        return self._order.repeated
+
+    @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError."""
+        return self._clock.std_ns
+
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         if direction == TX:
             return []
-        found = self._decoder.feed(data)
         out: Items = []
+        if not data:
+            return [item for placed in self._order.end() for item in self._placed(placed)]
+        self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
+        found = self._decoder.feed(data)
         if found.skipped_bytes:
-            self.losses["bytes"] += found.skipped_bytes
-            text = (
-                f"{found.skipped_bytes} bytes skipped that belong to no packet of a sensor with a range of "
-                f"{self._settings.range_mm} mm"
-            )
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            is_named = self._judges and not found.packets
+            received = words_for(data, self._settings.range_mm, self._settings.checksum) if is_named else ""
+            out.append(self._damage(found.skipped_bytes, received))
         for packet in found.packets:
-            out += self._packet(packet, host_ns)
+            if self._is_between(packet.serial, host_ns):
+                out.append(self._damage(wire.PACKET_BYTES, f"a packet of sensor {packet.serial}"))
+                continue
+            out += self._identified(packet.serial)
+            if not self.complaint:
+                self._heard_ns = host_ns
+                for placed in self._order.take(packet, host_ns):
+                    out += self._placed(placed)
         return out
 
-    def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
-        out = self._identified(packet.serial)
-        if self.complaint:
-            return out
-        steps, is_restart = self._steps(packet.number, host_ns)
-        if steps <= 0 and not is_restart and self._late < _MAX_LATE:
-            self._late += 1
-            self.repeated_packets += 1
-            return out
-        is_restart |= steps <= 0
-        self._late = 0
-        self._newest = packet.number, host_ns
-        if is_restart:
+    def _is_between(self, serial: int, host_ns: int) -> bool:
+        """Return whether a packet is of another sensor, while the expected one still sends to the same port."""
+        if not self._judges or self._heard_ns is None or serial == (self._wanted or serial):
+            return False
+        return host_ns - self._heard_ns < max(_OTHER_S * 1e9, _OTHER_PACKETS * wire.RESULTS * self._period_ns)
+
+    def _damage(self, count: int, received: str) -> DeviceEvent:
+        """Count skipped bytes, and complain of what was received as long as no packet was decoded."""
+        self.losses["bytes"] += count
+        range_mm = self._settings.range_mm
+        if received and self._serial is None:
+            self.complaint = (
+                f"expected packets of a sensor with a range of {range_mm} mm, got {received}. "
+                "Look at the rig file, the sensor's settings and its address"
+            )
+        text = f"{count} bytes skipped that belong to no packet of a sensor with a range of {range_mm} mm"
+        if received:
+            text += f"; received: {received}"
+        return DeviceEvent("damage", self._device, text, {"bytes": count})
+
+    def _placed(self, placed: Placed) -> Items:
+        out: Items = []
+        if placed.is_restart:
             self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm, self._rules), 0
             out.append(DeviceEvent("restart", self._device, "its packets' number does not continue: it started again"))
-        elif steps > 1:
-            lost = (steps - 1) * wire.RESULTS
+        elif placed.lost:
+            lost = placed.lost * wire.RESULTS
             self.losses["samples"] += lost
             self._next += lost
             span_s = lost * self._period_ns * 1e-9
             facts = {"samples": lost, "span_s": span_s}
             out.append(DeviceEvent("gap", self._device, f"{lost} samples lost ({span_s * 1e3:.2f} ms)", facts))
-        return [*out, self._samples(packet, host_ns)]
+        return [*out, self._samples(placed.packet, placed.host_ns)]
 
     def _identified(self, serial: int) -> Items:
         """Compare the sensor's serial number with the expected one; no samples are taken of another sensor."""
@@ -115,16 +142,6 @@ class RiftekEthernetPipeline:
             else f"expected {expected}, got packets of sensor {serial}: look at its address"
         )
         return [DeviceEvent("fault", self._device, self.complaint, {"serial": serial})] if self.complaint else []
-
-    def _steps(self, number: int, host_ns: int) -> tuple[int, bool]:
-        """Return the number of packets since the newest one, and whether the sensor started again."""
-        if self._newest is None:
-            return 1, False
-        newest, newest_ns = self._newest
-        passed = (host_ns - newest_ns) * 1e-9 / self._packet_s
-        ahead = (number - newest + wire.NUMBERS // 2) % wire.NUMBERS - wire.NUMBERS // 2
-        steps = ahead + wire.NUMBERS * round((passed - ahead) / wire.NUMBERS)
-        return steps, abs(steps - passed) * self._packet_s > max(_MAX_OFF_S, 4 * self._packet_s)
 
     def _samples(self, packet: wire.Packet, host_ns: int) -> Batch:
         number = self._next + np.arange(wire.RESULTS)

@@ -17,7 +17,7 @@ from daq.items import TX, Batch, DeviceEvent
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""
 STATUS_KNOWN = 1 << 24
-EVENT_RULES = 5
+EVENT_RULES = 6
 """Rules of a log (`daq.clock.clock_rules`) from which on these are events: late answers; on a CAN bus the start of a
 controller, missing status messages, each command of another node. Older logs decode to the same events as before."""
 
