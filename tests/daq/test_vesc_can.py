@@ -330,8 +330,8 @@ def test_logs_of_older_rules_decode_to_the_same_events() -> None:
         items = [*pipeline.feed(RX, text(boot, to_all), MS), *pipeline.feed(RX, text(query), 2000 * MS)]
         return kinds([*items, *pipeline.feed(RX, ANSWER * 40, 2001 * MS)])
 
-    assert events_by(4) == ["fault", "gap", "drive"], "the query was a fault"
-    assert events_by(5) == ["restart", "fault", "status", "gap", "drive", "gap"]
+    assert events_by(5) == ["fault", "gap", "drive"], "the query was a fault"
+    assert events_by(6) == ["restart", "fault", "status", "gap", "drive", "gap"]
 
 
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
