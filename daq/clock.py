@@ -24,7 +24,7 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 5
+FIRST_RULES, NEWEST_RULES = 1, 6
 _IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
@@ -92,7 +92,8 @@ def compile_line() -> None:
 def clock_rules(identity: Mapping[str, Any]) -> int:
     """Return the number of the rules by which a pipeline decodes and maps its clock.
 
-    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For the others see `ClockMap`.
+    From 3 on, encoder blocks after a gap wait for retransmitted blocks. From 6 on, an adapter that is known to return
+    sent frames may return a heartbeat late. For the others see `ClockMap`.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
