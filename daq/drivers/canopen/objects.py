@@ -168,6 +168,11 @@ class NodeObjects:
             attempt += 1
 
 
+def no_answer(error: DeviceError) -> bool:
+    """Return whether an error of `NodeObjects` is a missing answer; otherwise the node refused the value."""
+    return isinstance(error.__cause__, SdoCommunicationError)
+
+
 class _DialogueClient(_SdoClient):
     """Client that takes the answers from the replies of a dialogue; no other thread passes them to it."""
 
