@@ -74,6 +74,27 @@ def test_a_start_of_the_network_that_was_lost_is_sent_again() -> None:
 
 
 @pytest.mark.parametrize(
+    ("period", "identifier", "requested"),
+    [(None, 0x185, True), (None, 0x4000_0185, False), (20, 0x185, False), (0, 0x185, False)],
+)
+def test_a_drive_without_a_period_is_asked_for_its_reports(
+    period: int | None, identifier: int, requested: bool
+) -> None:
+    """It may report changes only. Bit 30 of its COB-ID means that it does not answer remote frames."""
+    drive = MappedDrive({(cia301.TPDO1, 1): identifier, (cia301.TPDO1, 5): period or 0})
+    if period is None:
+        del drive.objects[cia301.TPDO1, 5]
+    drive.host.start()
+    time.sleep(0.3)
+    drive.host.stop()
+    asked = list(drive.requests)
+    assert (len(asked) > 2) is requested
+    assert set(asked) <= {(0x185, 4)}
+    time.sleep(0.1)
+    assert drive.requests == asked  # none after the end
+
+
+@pytest.mark.parametrize(
     ("index", "words"),
     [
         (cia301.CONSUMER_HEARTBEAT, r"watch the heartbeat of node 1 for 500 ms: .* \(heartbeat_timeout_ms\)"),

@@ -58,6 +58,7 @@ class MappedDrive:
         self.state = cia402.SWITCH_ON_DISABLED
         self.started = False
         self.lost_orders = self.lost_starts = 0  # frames that the adapter loses without a message
+        self.requests: list[tuple[int, int]] = []  # identifiers and lengths of remote frames
         self.silent_at: tuple[int, int] | None = None  # object about which it does not answer
         self.refused: set[int] = set()  # objects that it does not let write
         measured = {
@@ -76,7 +77,9 @@ class MappedDrive:
 
     def hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
-            if frame.arbitration_id == cia301.cob_sdo_request(NODE):
+            if frame.remote:
+                self.requests.append((frame.arbitration_id, len(frame.data)))
+            elif frame.arbitration_id == cia301.cob_sdo_request(NODE):
                 if self.silent_at != struct.unpack_from("<HB", frame.data, 1):
                     self.answer(cia301.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
             elif frame.arbitration_id == 0 and self.lost_starts:

@@ -28,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 _ENABLE_S = 10.0  # wall s to reach operation: a drive may charge its link and look for its motor's position
 _TARGET_TRIES = 3  # times that a target speed is sent until the drive has it
+_REQUEST_S = 0.04  # wall s between requests to a drive that may report changes only
 _RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
 _OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
@@ -75,6 +76,7 @@ class DriveControl:
         self._report, self._profile = cia301.cob_tpdo(1, config.node_id), profile_of(config)
         self._objects = NodeObjects("drive", config.node_id, send, clock)
         self._beat: Repeated | None = None
+        self._requests: Repeated | None = None  # of reports, if the drive may send changes only
         self._bus_open = self._watched = self._ordered = False
         self._run_word = cia402.ENABLE_OPERATION | (cia402.RAMP_BITS if config.ramp_bits else 0)
         self._statusword: int | None = None
@@ -147,6 +149,7 @@ class DriveControl:
         c = self._config
         self._started_again, self._stopping_s, self._found, self.emergencies = False, None, None, []
         self._awaits_report = False
+        self._end_requests()
         self._bus_open = True
         self._send(open_bus(c.bitrate))
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
@@ -158,9 +161,17 @@ class DriveControl:
         demands.set_watch(self._objects, c.host_node_id, self._watch_ms)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
-        map_process_data(self._objects, c.node_id, self._profile, in_torque=self._found_in_torque)
+        on_request = map_process_data(self._objects, c.node_id, self._profile, in_torque=self._found_in_torque)
         self._network_state, self._awaits_report = None, True
         self._objects.send(0, bytes([NMT_START, c.node_id]))
+        if on_request:
+            self._requests = self._clock.every(_REQUEST_S, self._request_report, "requests", lambda error: None)
+
+    def _request_report(self) -> None:
+        """Request a report by a remote frame if the newest one is old: the drive may send changes only."""
+        if self._clock.now_ns() - self._reported_ns > _REQUEST_S * 1e9:
+            with ignoring(_log, "requesting a report", DeviceError, LinkLost):  # the link's reader reports the loss
+                self._objects.request(self._report, self._profile.size)
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Set the ramp for speeding up and slowing down, rpm/s.
@@ -496,6 +507,7 @@ class DriveControl:
 
     def _release(self, rest: bool) -> None:
         """End the heartbeat, at rest also torque and network operation of the drive, and close the adapter's bus."""
+        self._end_requests()
         if self._beat is not None:
             self._beat.stop()
             self._beat = None
@@ -505,6 +517,11 @@ class DriveControl:
         if self._bus_open:
             self._bus_open = False
             self._send(CLOSE_BUS)
+
+    def _end_requests(self) -> None:
+        if self._requests is not None:
+            self._requests.stop()
+            self._requests = None
 
     def _rest(self, notify: Callable[[str], None]) -> bool:
         """Command a quick stop and wait until the rotor stands; see `wait_for_rest`."""

@@ -28,7 +28,7 @@ def set_heartbeat(objects: NodeObjects, period_ms: int) -> None:
         lambda: objects.write(cia301.PRODUCER_HEARTBEAT, 0, period_ms, 2),
         lambda: (
             f"It is to send a heartbeat each {period_ms} ms. Look up 1017h and its range in its manual (heartbeat_ms); "
-            "a drive that knows node guarding only cannot be used"
+            "a drive with node guarding alone cannot be used"
         ),
     )
 

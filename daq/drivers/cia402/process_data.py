@@ -53,7 +53,7 @@ class _Pdo:
 
 def map_process_data(
     objects: NodeObjects, node_id: int, profile: SpeedProfile = VELOCITY, *, in_torque: bool = False
-) -> None:
+) -> bool:
     """Map controlword and target speed, statusword and actual speed, with reports at least every `_MAX_PERIOD_MS`.
 
     Drives may refuse changes in network operation. A drive that refuses a change leaves network operation, and the
@@ -64,6 +64,9 @@ def map_process_data(
         node_id: node number of the drive.
         profile: mode of operation.
         in_torque: whether the drive turns or holds the rotor: then the process data that can stop it are not changed.
+
+    Returns:
+        Whether the drive may report changes only, but answers remote requests: its period can neither be read nor set.
 
     Raises:
         DeviceError: the drive does not answer, refuses the mapping, or has torque and another mapping. Changes that
@@ -83,6 +86,7 @@ def map_process_data(
         for state in found:
             state.set_period(objects)
         _map_all(objects, found)
+        return any(state.needs_requests for state in found)
     except DeviceError as error:
         if no_answer(error):
             raise
@@ -108,6 +112,12 @@ class _FoundPdo:
         communication_right = own & ~_NO_REMOTE == pdo.identifier and kind >= _MIN_EVENT_TYPE
         self.wrong = not (self.entries_right and communication_right) or self.too_rare
         self.changed = False
+        self._has_period = False
+
+    @property
+    def needs_requests(self) -> bool:
+        """Whether the PDO has no period, so that the drive may report changes only, and remote requests are allowed."""
+        return self.pdo.reports and not self._has_period and not self.own & _NO_REMOTE
 
     @classmethod
     def of(cls, objects: NodeObjects, pdo: _Pdo) -> _FoundPdo | None:
@@ -137,6 +147,7 @@ class _FoundPdo:
         period_ms = objects.read(self.pdo.communication, 5)
         if period_ms is not None and not 0 < period_ms <= _MAX_PERIOD_MS:
             objects.write(self.pdo.communication, 5, REPORT_MS, 2)
+        self._has_period = period_ms is not None
 
     def correct(self, objects: NodeObjects) -> None:
         """Correct the configuration in the order of the standard: a PDO is off while it is changed."""
