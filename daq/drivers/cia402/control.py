@@ -27,7 +27,6 @@ from rig_basics.ignoring import ignoring
 _log = logging.getLogger(__name__)
 
 _ENABLE_S = 10.0  # wall s to reach operation: a drive may charge its link and look for its motor's position
-_TARGET_TRIES = 3  # times that a target speed is sent until the drive has it
 _REQUEST_S = 0.04  # wall s between requests to a drive that may report changes only
 _RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
@@ -278,31 +277,13 @@ class DriveControl:
             self._check_heartbeat()
             self._stopping_s = None
         self._pdo(self._run_word, rpm)
-        self._confirm_target(rpm)
+        demands.confirm_target(self._objects, self._profile, rpm, self._order_again)
 
-    def _confirm_target(self, rpm: float) -> None:
-        """Read the target speed back, and send it again if the drive does not have it: one frame may be lost.
-
-        A drive that limits its target, or that answers with another value, is reported in the program's messages.
-        """
-        size, raw = self._profile.size - 2, self._profile.pack(0, rpm)[2:]
-        found: int | None = None
-        for attempt in range(_TARGET_TRIES):
-            with ignoring(_log, "reading the target speed back", DeviceError):
-                found = self._objects.read(self._profile.target, 0)
-                if found is None or found & (1 << 8 * size) - 1 == int.from_bytes(raw, "little"):
-                    return
-            if not self._armed:  # a stop has been commanded in the meantime
-                return
-            if attempt + 1 < _TARGET_TRIES:
-                self._pdo(self._run_word, rpm)
-        has = "is not known" if found is None else f"is {self._profile.rpm(found):g} rpm"
-        _log.warning(
-            "drive: %g rpm were commanded, its target (%04Xh) %s. Look at its limits (607Fh, 6080h, 6046h)",
-            rpm,
-            self._profile.target,
-            has,
-        )
+    def _order_again(self, rpm: float) -> bool:
+        """Send a target speed again, and return True; send nothing and return False if a stop has been commanded."""
+        if self._armed:
+            self._pdo(self._run_word, rpm)
+        return self._armed
 
     def disable(self) -> None:
         """Remove the torque; the rotor must be at rest.

@@ -1,4 +1,4 @@
-"""Settings that a drive must accept, with what to do if it refuses one."""
+"""Settings and targets that a drive must accept, with what to do if it refuses one."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
+_TARGET_TRIES = 3  # times that a target speed is commanded until the drive has it
 _MODES = {cia402.MODE_VELOCITY: "velocity", MODE_PROFILE_VELOCITY: "profile velocity"}
 """Mode of operation (6060h) to `mode` in the rig file. Bit n - 1 of 6502h states that a drive has mode n."""
 
@@ -60,6 +61,33 @@ def set_watch(objects: NodeObjects, host_node_id: int, timeout_ms: int) -> None:
             "(heartbeat_timeout_ms), and whether another entry of 1016h watches this node"
         ),
     )
+
+
+def confirm_target(
+    objects: NodeObjects, profile: SpeedProfile, rpm: float, order_again: Callable[[float], bool]
+) -> None:
+    """Read the target speed back; it is commanded again if the drive does not have it, because a frame may be lost.
+
+    A drive that limits its target, or that answers with another value, is reported in the program's messages.
+
+    Args:
+        objects: objects of the drive.
+        profile: mode of operation.
+        rpm: target speed that was commanded, rpm.
+        order_again: commands a speed, rpm, again; it returns False if another command has replaced it.
+    """
+    raw = profile.pack(0, rpm)[2:]
+    found: int | None = None
+    for attempt in range(_TARGET_TRIES):
+        if attempt and not order_again(rpm):
+            return
+        with ignoring(_log, "reading the target speed back", DeviceError):
+            found = objects.read(profile.target, 0)
+            if found is None or found & (1 << 8 * len(raw)) - 1 == int.from_bytes(raw, "little"):
+                return
+    has = "is not known" if found is None else f"is {profile.rpm(found):g} rpm"
+    words = "drive: %g rpm were commanded, its target (%04Xh) %s. Look at its limits (607Fh, 6080h, 6046h)"
+    _log.warning(words, rpm, profile.target, has)
 
 
 def _demand(write: Callable[[], None], remedy: Callable[[], str]) -> None:
