@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 
@@ -43,20 +44,20 @@ def test_a_target_that_the_drive_limits_is_reported(caplog: pytest.LogCaptureFix
     drive.host.stop()
 
 
-def test_no_target_is_sent_again_after_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_target_is_sent_again_after_a_stop() -> None:
     drive = MappedDrive({})
     drive.host.start()
     drive.host.enable()
-    read = drive.host._objects.read
+    stop = threading.Thread(target=drive.host.quick_stop)
 
-    def read_while_another_thread_stops(index: int, sub: int) -> int | None:
-        drive.host.quick_stop()
-        return read(index, sub)
+    def another_thread_stops(index: int) -> None:
+        drive.at_read = lambda index: None
+        stop.start()
+        time.sleep(0.05)
 
-    drive.lost_orders = 1
-    monkeypatch.setattr(drive.host._objects, "read", read_while_another_thread_stops)
+    drive.lost_orders, drive.at_read = 1, another_thread_stops
     drive.host.set_speed(100)
-    monkeypatch.undo()
+    stop.join()
     assert drive.orders[-1] == cia402.QUICK_STOP
     drive.host.stop()
 
@@ -166,7 +167,7 @@ def checks_of(objects: dict[tuple[int, int], tuple[int, str]], settings: MotorDr
 
     def speak() -> None:
         drive.reports()
-        if not drive.host._beat_s > time.monotonic() - 0.3:
+        if drive.beat_s < time.monotonic() - 0.3:
             emergency = cia301.Emergency(cia301.HEARTBEAT_ERROR, 0x11, bytes(5))
             drive.answer(cia301.cob_emergency(NODE), cia301.pack_emergency(emergency))
 

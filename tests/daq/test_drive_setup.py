@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from typing import cast
 
@@ -55,6 +56,8 @@ class MappedDrive:
         self.network_orders: list[int] = []
         self.interrupted = self.period_guarded = False
         self.at_write: Callable[[int, int, int], None] = lambda index, sub, value: None
+        self.at_read: Callable[[int], None] = lambda index: None
+        self.beat_s = 0.0  # time of the host's last heartbeat
         self.state = cia402.SWITCH_ON_DISABLED
         self.started = False
         self.lost_orders = self.lost_starts = 0  # frames that the adapter loses without a message
@@ -79,7 +82,11 @@ class MappedDrive:
         for frame in self._lines.feed(data).frames:
             if frame.remote:
                 self.requests.append((frame.arbitration_id, len(frame.data)))
+            elif frame.arbitration_id == cia301.cob_heartbeat(CONFIG.host_node_id):
+                self.beat_s = time.monotonic()
             elif frame.arbitration_id == cia301.cob_sdo_request(NODE):
+                if frame.data[0] >> 5 == 2:
+                    self.at_read(struct.unpack_from("<H", frame.data, 1)[0])
                 if self.silent_at != struct.unpack_from("<HB", frame.data, 1):
                     self.answer(cia301.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
             elif frame.arbitration_id == 0 and self.lost_starts:
