@@ -92,9 +92,13 @@ def compile_line() -> None:
 def clock_rules(identity: Mapping[str, Any]) -> int:
     """Return the number of the rules by which a pipeline decodes and maps its clock.
 
-    From 3 on, encoder blocks after a gap wait for retransmitted blocks. From 6 on, a speed of 0 is doubted if no ramp
-    explains it, and packets of sensors on a network are compared with their counter, their time of arrival and their
-    flags; packets whose number contradicts the host's time wait for those after them. For the others see `ClockMap`.
+    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For the others see `ClockMap`. From 6 on:
+
+    - a speed of 0 is doubted if no ramp explains it;
+    - packets of sensors on a network are compared with their counter, their time of arrival and their flags; packets
+      whose number contradicts the host's time wait for those after them;
+    - an adapter that is known to return sent frames may return a heartbeat late;
+    - late answers, missing status messages and every command of another node are events.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -121,7 +121,7 @@ class RotorCommand:
             _log.info("%s: the drive did not confirm its stop, its watchdog stops it: %s", self.drive_name, error)
             end = self._clock.wall_s() + _MAX_WATCHDOG_STOP_S
             retry_at_s = 0.0
-            while opened and self.at_rest() is False and self._clock.wall_s() < end:
+            while opened and not self.at_rest() and self._clock.wall_s() < end:  # also if nothing else measures it
                 if self._clock.wall_s() >= retry_at_s:  # the watchdog may have failed
                     with ignoring(_log, "stopping the drive again", LinkLost, DeviceError):
                         if reach():

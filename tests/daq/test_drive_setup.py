@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from typing import cast
 
@@ -14,6 +15,7 @@ from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START, Objects, Sd
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
@@ -31,7 +33,7 @@ WANTED = {
     (cia301.TPDO1_MAPPING, 1): STATUS,
     (cia301.TPDO1_MAPPING, 2): ACTUAL,
 }
-_STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
+_STATE, _ACCESS, _RANGE = 0x08000022, 0x06010000, 0x06090030  # abort codes of CiA 301
 
 
 class MappedDrive:
@@ -41,7 +43,8 @@ class MappedDrive:
     """
 
     def __init__(self, changes: dict[tuple[int, int], int], *, settings: MotorDrive = CONFIG) -> None:
-        self.objects: Objects = drive_objects(NODE)
+        self.profile = profile_of(settings)
+        self.objects: Objects = drive_objects(NODE, self.profile)
         forms = {0: "<B", 1: "<I", 2: "<B", 3: "<H", 5: "<H"}
         for (index, sub), value in changes.items():
             self.objects[index, sub] = (value, "<I" if index in _MAPPINGS and sub else forms[sub])
@@ -53,11 +56,17 @@ class MappedDrive:
         self.network_orders: list[int] = []
         self.interrupted = self.period_guarded = False
         self.at_write: Callable[[int, int, int], None] = lambda index, sub, value: None
+        self.at_read: Callable[[int], None] = lambda index: None
+        self.beat_s = 0.0  # time of the host's last heartbeat
         self.state = cia402.SWITCH_ON_DISABLED
         self.started = False
+        self.lost_orders = self.lost_starts = 0  # frames that the adapter loses without a message
+        self.requests: list[tuple[int, int]] = []  # identifiers and lengths of remote frames
+        self.silent_at: tuple[int, int] | None = None  # object about which it does not answer
+        self.refused: set[int] = set()  # objects that it does not let write
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", cia402.STATES[self.state][1]),
-            (cia402.ACTUAL_VELOCITY, 0): lambda: bytes(2),
+            (self.profile.actual, 0): lambda: bytes(self.profile.size - 2),
         }
         self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, measured, self._take)
         self.host = DriveControl(settings, self.hear, HostClock())
@@ -71,25 +80,46 @@ class MappedDrive:
 
     def hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
-            if frame.arbitration_id == cia301.cob_sdo_request(NODE):
-                self._answer(cia301.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
+            if frame.remote:
+                self.requests.append((frame.arbitration_id, len(frame.data)))
+            elif frame.arbitration_id == cia301.cob_heartbeat(CONFIG.host_node_id):
+                self.beat_s = time.monotonic()
+            elif frame.arbitration_id == cia301.cob_sdo_request(NODE):
+                if frame.data[0] >> 5 == 2:
+                    self.at_read(struct.unpack_from("<H", frame.data, 1)[0])
+                if self.silent_at != struct.unpack_from("<HB", frame.data, 1):
+                    self.answer(cia301.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
+            elif frame.arbitration_id == 0 and self.lost_starts:
+                self.lost_starts -= 1
+            elif frame.arbitration_id == cia301.cob_rpdo(1, NODE) and self.lost_orders:
+                self.lost_orders -= 1
             elif frame.arbitration_id == 0:
                 self.network_orders.append(frame.data[0])
                 self.started = frame.data[0] == NMT_START
             elif frame.arbitration_id == cia301.cob_rpdo(1, NODE):
-                word = cia402.unpack_rpdo1(frame.data)[0]
+                word, rpm = self.profile.unpack(frame.data)
+                self.objects[self.profile.target, 0] = (round(rpm), self.objects[self.profile.target, 0][1])
                 self.orders.append(word)
                 if word == CONFIG_STEPS.get(self.state, (None,))[0] or word & 0x0F == 0x0F:
                     self.state = CONFIG_STEPS.get(self.state, (None, self.state))[1]
             if self.started:
-                report = cia402.pack_tpdo1(cia402.STATES[self.state][1], 0)
-                self._answer(cia301.cob_tpdo(1, NODE), report)
+                self.reports()
 
-    def _answer(self, identifier: int, data: bytes) -> None:
+    def shows(self, state: cia301.Heartbeat) -> None:
+        """Its heartbeat."""
+        self.answer(cia301.cob_heartbeat(NODE), bytes([state]))
+
+    def reports(self) -> None:
+        """Its statusword and speed."""
+        self.answer(cia301.cob_tpdo(1, NODE), self.profile.pack(cia402.STATES[self.state][1], 0))
+
+    def answer(self, identifier: int, data: bytes) -> None:
         self.host.take_frames([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
         index, sub, value = struct.unpack_from("<HBI", request, 1)
+        if request[0] >> 5 == 1 and index in self.refused:
+            return b"\x80" + request[1:4] + struct.pack("<I", _RANGE)
         if request[0] >> 5 != 1 or index not in (cia301.RPDO1, cia301.TPDO1, *_MAPPINGS):
             return b""
         if self.fixed or (self.fixed_in_operation and self.started) or self.refused_entry == value:

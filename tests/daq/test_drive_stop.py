@@ -140,6 +140,7 @@ class FarEnd:
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_CONSTANT_S", 0.3)
     monkeypatch.setattr("daq.drivers.run_down._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.cia402.control._ENABLE_S", 1.0)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:

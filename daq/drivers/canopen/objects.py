@@ -44,7 +44,8 @@ class _SendOnlyBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send one frame."""
-        frame = slcan.CanFrame(msg.arbitration_id, bytes(msg.data), msg.is_extended_id, msg.is_remote_frame)
+        data = bytes(msg.dlc) if msg.is_remote_frame else bytes(msg.data)
+        frame = slcan.CanFrame(msg.arbitration_id, data, msg.is_extended_id, msg.is_remote_frame)
         self._send_bytes(slcan.encode(frame))
 
 
@@ -110,12 +111,19 @@ class NodeObjects:
         self.node_id: int = node_id
         self._name = name
         self._clock = clock
-        self._network = canopen.Network(bus=_SendOnlyBus(send))
+        self._bus = _SendOnlyBus(send)
+        self._network = canopen.Network(bus=self._bus)
         self._sdo = _SdoClient(node_id, self._network, clock)
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send a frame."""
         self._network.send_message(identifier, data)
+
+    def request(self, identifier: int, size: int) -> None:
+        """Request the process data of an identifier, of `size` bytes, by a remote frame."""
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_remote_frame=True, dlc=size)
+        with self._network.send_lock:
+            self._bus.send(message)
 
     def take_answer(self, data: bytes) -> None:
         """Take an answer of the node, 8 bytes."""
@@ -166,6 +174,11 @@ class NodeObjects:
                         "powered, the bit rate right, the bus terminated?"
                     ) from error
             attempt += 1
+
+
+def no_answer(error: DeviceError) -> bool:
+    """Return whether an error of `NodeObjects` is a missing answer; otherwise the node refused the value."""
+    return isinstance(error.__cause__, SdoCommunicationError)
 
 
 class _DialogueClient(_SdoClient):

@@ -10,7 +10,7 @@ from daq.drivers.can_lines import CLOSE_BUS, open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import NodeObjects
-from daq.drivers.cia402 import faults, wire as cia402
+from daq.drivers.cia402 import demands, faults, statements, wire as cia402
 from daq.drivers.cia402.faults import REMEDY
 from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.profile import profile_of
@@ -26,6 +26,8 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
+_ENABLE_S = 10.0  # wall s to reach operation: a drive may charge its link and look for its motor's position
+_REQUEST_S = 0.04  # wall s between requests to a drive that may report changes only
 _RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
 _OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
@@ -73,6 +75,7 @@ class DriveControl:
         self._report, self._profile = cia301.cob_tpdo(1, config.node_id), profile_of(config)
         self._objects = NodeObjects("drive", config.node_id, send, clock)
         self._beat: Repeated | None = None
+        self._requests: Repeated | None = None  # of reports, if the drive may send changes only
         self._bus_open = self._watched = self._ordered = False
         self._run_word = cia402.ENABLE_OPERATION | (cia402.RAMP_BITS if config.ramp_bits else 0)
         self._statusword: int | None = None
@@ -83,6 +86,8 @@ class DriveControl:
         self.emergencies: list[int] = []
         self._armed = False
         self._network_state: cia301.Heartbeat | None = None
+        self._awaits_report = False  # whether the network operation was started and no report has arrived since
+        self._fault_without_host: bool | None = None  # whether a missing heartbeat led to FAULT; None: not measured
         self._beats, self._beats_unwatched = 0, 0  # heartbeats sent, and those before the drive's watch was set
         self._beat_s = -math.inf  # time of the last one, wall s
         self._started_again = False
@@ -105,7 +110,7 @@ class DriveControl:
                 if self._started_again:  # the mapping may be the manufacturer's again, without a speed
                     continue
                 self._statusword, self._reported_rpm = self._profile.unpack(data)
-                self._reported_ns = self._clock.now_ns()
+                self._reported_ns, self._awaits_report = self._clock.now_ns(), False
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
             elif identifier == cia301.cob_sdo_answer(node) and len(data) == 8:
@@ -142,19 +147,30 @@ class DriveControl:
         """
         c = self._config
         self._started_again, self._stopping_s, self._found, self.emergencies = False, None, None, []
+        self._awaits_report = False
+        self._end_requests()
         self._bus_open = True
         self._send(open_bus(c.bitrate))
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
-        self._objects.write(cia301.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        demands.set_heartbeat(self._objects, c.heartbeat_ms)
         word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(self._profile.actual, 0)
         self._found = None if word is None or rpm is None else (word & 0xFFFF, self._profile.rpm(rpm))
-        self._objects.write(cia402.MODE_OF_OPERATION, 0, self._profile.mode, 1)
+        demands.set_mode(self._objects, self._profile)
         self._watched = True
-        self._objects.write(cia301.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
+        demands.set_watch(self._objects, c.host_node_id, self._watch_ms)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
-        map_process_data(self._objects, c.node_id, self._profile, in_torque=self._found_in_torque)
+        on_request = map_process_data(self._objects, c.node_id, self._profile, in_torque=self._found_in_torque)
+        self._network_state, self._awaits_report = None, True
         self._objects.send(0, bytes([NMT_START, c.node_id]))
+        if on_request:
+            self._requests = self._clock.every(_REQUEST_S, self._request_report, "requests", lambda error: None)
+
+    def _request_report(self) -> None:
+        """Request a report by a remote frame if the newest one is old: the drive may send changes only."""
+        if self._clock.now_ns() - self._reported_ns > _REQUEST_S * 1e9:
+            with ignoring(_log, "requesting a report", DeviceError, LinkLost):  # the link's reader reports the loss
+                self._objects.request(self._report, self._profile.size)
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Set the ramp for speeding up and slowing down, rpm/s.
@@ -174,7 +190,7 @@ class DriveControl:
             DeviceError: the drive does not reach the state, has another fault, or does not watch the host's heartbeat.
             AcquisitionError: raised by `permit`.
         """
-        deadline = self._clock.wall_s() + 3.0
+        deadline = self._clock.wall_s() + _ENABLE_S
         self._armed, self.dropped_out, was_reset, watched = False, None, False, False
         self._stopping_s = None
         while not watched or self._recent_state != cia402.OPERATION_ENABLED:
@@ -197,7 +213,7 @@ class DriveControl:
             if self._clock.wall_s() > deadline:
                 raise DeviceError(
                     f"drive: expected OPERATION ENABLED, it stays in {self.state}{self.why()}. "
-                    "Look at its display for a fault"
+                    "Look at its display for a fault, at its supply, and at its inputs for safe torque off and enable"
                 )
             self._clock.wait(0.005)
         self._armed = True
@@ -261,6 +277,13 @@ class DriveControl:
             self._check_heartbeat()
             self._stopping_s = None
         self._pdo(self._run_word, rpm)
+        demands.confirm_target(self._objects, self._profile, rpm, self._order_again)
+
+    def _order_again(self, rpm: float) -> bool:
+        """Send a target speed again, and return True; send nothing and return False if a stop has been commanded."""
+        if self._armed:
+            self._pdo(self._run_word, rpm)
+        return self._armed
 
     def disable(self) -> None:
         """Remove the torque; the rotor must be at rest.
@@ -370,7 +393,12 @@ class DriveControl:
             return self._time_out(stated_ms)
         finally:
             self._start_heartbeat()
-            if self._recent_state == cia402.FAULT:
+            self._objects.send(0, bytes([NMT_START, self._config.node_id]))  # a drive without its host may leave it
+            begun_ns, end_s = self._clock.now_ns(), self._clock.wall_s() + _MAX_REPORT_AGE_S
+            while self._reported_ns <= begun_ns and self._clock.wall_s() < end_s:
+                self._clock.wait(0.005)
+            self._fault_without_host = self._recent_state == cia402.FAULT
+            if self._fault_without_host:
                 self._reset_if_only_heartbeat(self._clock.wall_s() + 3.0)
 
     def _time_out(self, stated_ms: int) -> TimeOut:
@@ -385,6 +413,15 @@ class DriveControl:
         resolution_s = self._clock.patience(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
         return TimeOut(self._clock.patience(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
 
+    def ignores_missing_host(self) -> bool:
+        """Return whether the drive goes on turning without its host: it states no reaction, and no FAULT followed."""
+        return self._fault_without_host is False and statements.reaction(self._objects) == statements.NO_REACTION
+
+    def units_per_rpm(self) -> tuple[float, float] | None:
+        """Return the units of speed for 1 rpm of the rig file and of the drive; None in rpm, or if it states none."""
+        stated = None if self._config.mode == "velocity" else statements.units_per_rpm(self._objects)
+        return None if stated is None else (self._profile.units_per_rpm, stated)
+
     def _start_heartbeat(self) -> None:
         identifier, operational = cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL])
 
@@ -394,6 +431,9 @@ class DriveControl:
             except (DeviceError, LinkLost):  # usual: the link's reader reports the loss
                 return  # the next beat may use a new link
             self._beats, self._beat_s = self._beats + 1, self._clock.wall_s()
+            if self._awaits_report and self._network_state == cia301.Heartbeat.PRE_OPERATIONAL:
+                with ignoring(_log, "starting the network operation again", DeviceError, LinkLost):
+                    self._objects.send(0, bytes([NMT_START, self._config.node_id]))  # the first one was lost
 
         beat()
         if self._beat is not None:  # from a line that was lost
@@ -448,6 +488,7 @@ class DriveControl:
 
     def _release(self, rest: bool) -> None:
         """End the heartbeat, at rest also torque and network operation of the drive, and close the adapter's bus."""
+        self._end_requests()
         if self._beat is not None:
             self._beat.stop()
             self._beat = None
@@ -457,6 +498,11 @@ class DriveControl:
         if self._bus_open:
             self._bus_open = False
             self._send(CLOSE_BUS)
+
+    def _end_requests(self) -> None:
+        if self._requests is not None:
+            self._requests.stop()
+            self._requests = None
 
     def _rest(self, notify: Callable[[str], None]) -> bool:
         """Command a quick stop and wait until the rotor stands; see `wait_for_rest`."""

@@ -218,6 +218,8 @@ class SimulatedDrive(FarEnd):
         elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
             if self._nmt.state == cia301.Heartbeat.OPERATIONAL:
                 control, self._target_rpm = self._profile.unpack(data)
+                form = self._objects[self._profile.target, 0][1]
+                self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
                 self._control(control)
         elif identifier == cia301.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
             self._heard_s = now_s

@@ -41,7 +41,7 @@ class PlayedDrive(PlayedDevice):
             f"t{cia301.cob_tpdo(1, config.node_id):03X}[{size}-8]([0-9A-Fa-f]{{{2 * size}}})".encode()
         )
         self._reported = bytes(size)
-        objects = drive_objects(config.node_id, self._profile)
+        objects = self._objects = drive_objects(config.node_id, self._profile)
         measured = {
             (cia402.STATUSWORD, 0): lambda: self._reported[:2],
             (self._profile.actual, 0): lambda: self._reported[2:],
@@ -78,6 +78,8 @@ class PlayedDrive(PlayedDevice):
         if identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
             return slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
         if identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
+            form = self._objects[self._profile.target, 0][1]
+            self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
             self._turn(self._profile.unpack(data)[0])
         return None
 

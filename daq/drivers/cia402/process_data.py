@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
-from daq.drivers.canopen.objects import NodeObjects
+from daq.drivers.canopen.objects import NodeObjects, no_answer
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
 from daq.errors import DeviceError, LinkLost
@@ -53,7 +53,7 @@ class _Pdo:
 
 def map_process_data(
     objects: NodeObjects, node_id: int, profile: SpeedProfile = VELOCITY, *, in_torque: bool = False
-) -> None:
+) -> bool:
     """Map controlword and target speed, statusword and actual speed, with reports at least every `_MAX_PERIOD_MS`.
 
     Drives may refuse changes in network operation. A drive that refuses a change leaves network operation, and the
@@ -64,6 +64,9 @@ def map_process_data(
         node_id: node number of the drive.
         profile: mode of operation.
         in_torque: whether the drive turns or holds the rotor: then the process data that can stop it are not changed.
+
+    Returns:
+        Whether the drive may report changes only, but answers remote requests: its period can neither be read nor set.
 
     Raises:
         DeviceError: the drive does not answer, refuses the mapping, or has torque and another mapping. Changes that
@@ -83,7 +86,10 @@ def map_process_data(
         for state in found:
             state.set_period(objects)
         _map_all(objects, found)
+        return any(state.needs_requests for state in found)
     except DeviceError as error:
+        if no_answer(error):
+            raise
         raise DeviceError(
             f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed "
             f"(6040h, {profile.target:04X}h), {cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, "
@@ -106,6 +112,12 @@ class _FoundPdo:
         communication_right = own & ~_NO_REMOTE == pdo.identifier and kind >= _MIN_EVENT_TYPE
         self.wrong = not (self.entries_right and communication_right) or self.too_rare
         self.changed = False
+        self._has_period = False
+
+    @property
+    def needs_requests(self) -> bool:
+        """Whether the PDO has no period, so that the drive may report changes only, and remote requests are allowed."""
+        return self.pdo.reports and not self._has_period and not self.own & _NO_REMOTE
 
     @classmethod
     def of(cls, objects: NodeObjects, pdo: _Pdo) -> _FoundPdo | None:
@@ -135,6 +147,7 @@ class _FoundPdo:
         period_ms = objects.read(self.pdo.communication, 5)
         if period_ms is not None and not 0 < period_ms <= _MAX_PERIOD_MS:
             objects.write(self.pdo.communication, 5, REPORT_MS, 2)
+        self._has_period = period_ms is not None
 
     def correct(self, objects: NodeObjects) -> None:
         """Correct the configuration in the order of the standard: a PDO is off while it is changed."""

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia402 import wire
+from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.host_beats import IN_A_ROW
+from daq.drivers.cia402.statements import is_decimal_error
 from daq.drivers.contract import SpeedControl
 from daq.items import DeviceEvent
 
@@ -29,7 +31,28 @@ def drive_checks(control: SpeedControl | None, events: Sequence[DeviceEvent], fo
     out["emergencies"] = DeviceCheck(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
     note = "" if foreign_beats < IN_A_ROW else "another node bears the host's number (host_node_id): find it"
     out["foreign_heartbeats"] = DeviceCheck(foreign_beats, 0, foreign_beats < IN_A_ROW, note)
+    if isinstance(control, DriveControl):
+        out |= _reaction(control) | _unit(control)
     return out
+
+
+def _reaction(control: DriveControl) -> Checks:
+    """Return the check of the reaction to a missing host, if the drive states that it does nothing."""
+    if not control.ignores_missing_host():
+        return {}
+    note = "it would go on turning without its host: set 6007h to 1 (fault) or 3 (quick stop) with its maker's tool"
+    return {"reaction": DeviceCheck("none (6007h is 0)", "a stop", False, note)}
+
+
+def _unit(control: DriveControl) -> Checks:
+    """Return the check of the unit of speed, if the drive states it. A ratio other than a power of ten is a gear's."""
+    units = control.units_per_rpm()
+    if units is None:
+        return {}
+    given, stated = units
+    ok = not is_decimal_error(stated, given)
+    note = "" if ok else "its unit (60A9h) is another one, so every speed is scaled: correct units_per_rpm"
+    return {"units_per_rpm": DeviceCheck(given, stated, ok, note)}
 
 
 def _state(control: SpeedControl) -> DeviceCheck:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from daq import channels
+from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import CanLines
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
@@ -35,14 +36,14 @@ class DrivePipeline:
 
     has_reported = True
 
-    def __init__(self, device: str, config: MotorDrive) -> None:
+    def __init__(self, device: str, config: MotorDrive, rules: int = NEWEST_RULES) -> None:
         self.losses: dict[str, int] = {}
         self._lines = CanLines(device, self.losses)
         self.frames: list[slcan.CanFrame] = []
         self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
         self._profile = profile_of(config)
-        self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
+        self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id, rules)
         self._reported_ns = -_AGAIN_NS
         self._target_rpm = 0.0
         self._status: int | None = None
