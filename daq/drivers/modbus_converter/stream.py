@@ -99,7 +99,7 @@ class ConverterPipeline:
         before, end, answer = found
         after = len(self._received) - end
         if self._revised and answer.request.function in wire.READS and self._returned:
-            self.echoes = self._received[:before] == self._returned
+            self.echoes = bytes(self._received[:before]) == self._returned
             before = 0 if self.echoes else before
         self._request = None
         self._received.clear()
