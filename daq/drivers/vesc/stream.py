@@ -118,9 +118,8 @@ class VescPipeline:
         self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
-        self._late = self._early = (
-            0  # answers that may still arrive: to polls counted as a loss, to one before a release
-        )
+        self._late = 0  # polls counted as a loss whose answers may still arrive
+        self._early = 0  # answers that may still arrive to a poll before a release
         self._last: wire.Values | None = None
         self._word: int | None = None
         self._following = Following(device, round(settings.follow_s * settings.report_Hz))
