@@ -148,6 +148,15 @@ def test_after_a_silence_of_more_than_30_s_the_number_of_a_frame_shows_no_restar
         assert line.pipeline.losses["radio_frames"] == 1 + (0 if restarts else 65_435)
 
 
+def test_the_silence_after_a_restart_begins_at_the_last_sample_of_its_block() -> None:
+    line = Line()
+    line.mark(500, 60_000_000)
+    line.pipeline.feed(RX, rotorlink.wire(block(200, 0, 0)), START_NS + 61_000_000_000)
+    items = line.pipeline.feed(RX, rotorlink.wire(mark(100, 30_009_000)), START_NS + 91_000_000_000)
+    assert [item.kind for item in items if isinstance(item, DeviceEvent)] == ["restart"]
+    assert line.losses == {}
+
+
 # --- restarts --------------------------------------------------------------------------------------------------
 
 
@@ -288,6 +297,13 @@ def test_a_block_without_a_period_counts_nothing_by_time() -> None:
     line.at(5_000, block(1, 1, 5_000, n=1, flags=LOST, period_us=0))
     assert line.values("index") == [0, 1]
     assert line.losses == {}
+
+
+@pytest.mark.parametrize(("flags", "low"), [(0x67, False), (0x08, True), (0x6F, True), (0x80, False)])
+def test_only_its_own_flag_shows_a_low_battery(flags: int, low: bool) -> None:
+    line = Line()
+    line.at(9_000, block(0, 0, 0, flags=flags))
+    assert line.pipeline.battery_low is low
 
 
 def test_without_its_angles_or_marks_a_node_gives_only_the_others() -> None:
