@@ -214,3 +214,10 @@ def test_skipped_bytes_have_their_number() -> None:
     assert (damage.kind, damage.facts) == ("damage", {"bytes": 3})
     assert damage.text == "3 bytes skipped that belong to no intact packet"
     assert line.losses == {"samples": 0, "damaged_packets": 0, "bytes": 3, "foreign_packets": 0}
+
+
+def test_a_packet_with_impossible_content_is_dropped_and_the_next_one_is_used() -> None:
+    line = pipeline()
+    items = line.feed(RX, packet(0x1A, b"\x00" * 18) + sweeps(0, [(1, 1)]), S)
+    assert shape(items) == ["damage", "samples"]
+    assert line.losses["damaged_packets"] == 1
