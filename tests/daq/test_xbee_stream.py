@@ -285,3 +285,35 @@ def test_no_mutated_frame_gives_a_wrong_sample(mode: int) -> None:
     assert stopped == 0
     assert into.losses["damaged_frames"] > 0.7 * MUTATED_FRAMES
     assert into.losses["samples"] == index[-1] + 1 - len(index)
+
+
+@MODES
+def test_what_follows_damage_in_the_same_read_is_decoded(mode: int) -> None:
+    torn = bytearray(api(block(9), mode))
+    torn[-1] ^= 1
+    wrong_crc = block(9)[:-1] + b"\x00"
+    for damage in (b"\x01\x02", bytes(torn), module_frame("8B 05", mode), api(wrong_crc, mode)):
+        into = pipeline(mode)
+        batches, events = feed(into, [api(block(0), mode) + damage + api(block(1), mode)])
+        assert column(batches, "index").tolist() == list(range(10))
+        assert [event.kind for event in events] == ["damage"]
+        assert into.losses == {"radio_frames": 0, "damaged_frames": 1, "samples": 0, "foreign_frames": 0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "lost"), [(0x0F, 1), (0x10, 0), (0x1F, 0), (0x20, 1), (0x25, 1), (0x2F, 1), (0x90, 1)], ids=hex
+)
+def test_a_frame_of_an_unknown_type_has_a_number_of_the_node_only_if_it_is_of_a_node(kind: int, lost: int) -> None:
+    into = pipeline()
+    unknown = [rotorlink.encode_frame(bytes((kind, 1, seq, 0, 7))) for seq in (1, 1)]
+    batches, events = feed(into, [api(p) for p in (block(0), *unknown, block(1, first_seq=1))])
+    assert column(batches, "index").tolist() == list(range(10))
+    assert [e.facts["reason"] for e in events if e.kind == "damage"] == ["payload type"] * 2
+    assert into.losses == {"radio_frames": lost, "damaged_frames": 2, "samples": 0, "foreign_frames": 0}
+
+
+def test_only_the_answer_to_db_has_the_signal_strength() -> None:
+    for command in ("4150", "4441", "4443", "4E49", "5342"):
+        into = pipeline(rssi_dBm=-50)
+        feed(into, [module_frame(f"88 01 {command} 00 3d")])
+        assert into.rssi_dBm == -50

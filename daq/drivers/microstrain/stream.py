@@ -123,7 +123,6 @@ class MicroStrainPipeline:
         if packet.kind == wire.BASE_SUCCESS and packet.payload[:2] == wire.SET_BEACON.to_bytes(2, "big"):
             # The host switches the beacon off and on when it opens the device, also again during a recording: this is
             # no fault, and the next state of the beacon is a reply that the dialogue waits for.
-            self._is_off = packet.payload[2:6] == wire.BEACON_OFF.to_bytes(4, "big")
             self._status_reported = False
         if beacon is not None:
             if beacon.is_on:
