@@ -187,6 +187,26 @@ def test_a_loss_found_late_is_that_of_the_first_gap_only() -> None:
     assert counters(found) == numbers
 
 
+@pytest.mark.parametrize(("reads", "gap", "intervals"), [(5, False, 3), (4, False, 4), (4, True, 4)])
+def test_a_late_read_does_not_show_when_its_results_were_measured(reads: int, gap: bool, intervals: int) -> None:
+    """A loss is found after three intervals of 0.25 s with four reads in time each; in the second, one read is late."""
+    count = 500 // reads
+    pipe = pipeline(laser(2000.0))
+    feed(pipe, reads_of(np.arange(6000), 2000.0, 0.0, every_s=count / 2000))
+    found: list[int] = []
+    for index in range(4 * reads + 1):
+        numbers = np.arange(6000 + count * index, 6000 + count * (index + 1))
+        numbers = numbers[8:] if index == 0 else numbers
+        host_ns = START_NS + 500_000 * int(numbers[-1])
+        if index == reads + 1:
+            host_ns += 35 * MS
+            numbers = np.delete(numbers, 50) if gap else numbers
+        items = pipe.feed(RX, wire.results(codes_of(numbers), numbers), host_ns)
+        found += [index for event in events(items, "gap") if "found_late" in event.facts]
+    assert found == [intervals * reads]
+    assert pipe.losses["samples"] == 8 + gap
+
+
 def test_numbers_of_samples_wrap_after_32_bits() -> None:
     """A loss of 74 days."""
     pipe = after_3_s()
