@@ -72,11 +72,20 @@ def test_other_quantities_have_a_voltage_of_their_zero() -> None:
 
 def test_the_digital_line_of_a_tachometer_is_the_last_sample_of_a_scan() -> None:
     made = pipeline(tacho={"input": "EIO3"}, scan_rate_Hz=1000.0)
-    low, high = [0xFE08, 0xFE00, 0xFE00], [0xFE00, 0xFE08, 0xFE08]
+    low, high = [0xFE08, 0xFE08, 0xFE00], [0xFE00, 0xFE00, 0xFE08]
     scans = [low, high, high, low, high]
     (batch,) = batches(made.feed(RX, answer(0x8000, [code for scan in scans for code in scan]), START), "tacho")
     assert batch.columns["node_time_us"].tolist() == [500, 3500]
     assert batch.columns["revolutions"].tolist() == [0, 1]
+
+
+def test_an_index_mark_after_scans_without_a_value_is_at_its_edge() -> None:
+    made = pipeline(tacho={"input": "AIN2"}, scan_rate_Hz=1000.0)
+    low, high, empty = [40000, 41000, 33523], [40000, 41000, 48000], [0xFFFF] * 3
+    scans = [low] * 5 + [empty] * 4 + [low] * 5 + [high] * 2
+    items = made.feed(RX, answer(0x8000, [code for scan in scans for code in scan]), START)
+    (batch,) = batches(items, "tacho")
+    assert 13_000 < batch.columns["node_time_us"][0] < 14_000
 
 
 def test_a_scan_without_any_value_is_damage_from_two_inputs_on() -> None:
@@ -99,6 +108,9 @@ def test_skipped_scans_have_their_exact_span() -> None:
     assert gap.facts == {"samples": 60_000, "span_s": pytest.approx(15.0, rel=1e-11)}
     assert numbers(items) == [0, 1, 60_002]
     assert last_ns(items) == START  # the scans before the separator have an unknown age
+    odd = pipeline(scan_rate_Hz=3000.0)
+    items = odd.feed(RX, answer(0x8000, EMPTY + GOOD, status=2941, info=60_000), START)
+    assert events(items)[0].facts["span_s"] == pytest.approx(20.0, rel=1e-11)
     few = pipeline()
     items = few.feed(RX, answer(0x8000, GOOD + EMPTY + GOOD, status=2941, info=8), START)
     assert "(2.0 ms)" in events(items)[0].text
@@ -113,12 +125,12 @@ def test_the_separator_is_the_first_scan_without_a_value() -> None:
 
 
 def test_more_skipped_scans_than_the_device_counts_follow_from_the_host_s_time() -> None:
-    """From the separator on 3 scans and 3 that wait; the last scan before it was measured one period after START."""
+    """From the separator on 3 scans and 3 that wait; the last scan before it was measured at 3 periods."""
     made = pipeline(**THREE)
     three = [40000, 41000, 42000]
-    made.feed(RX, answer(0x8000, three * 2), START)
+    made.feed(RX, answer(0x8000, three * 2), 2 * PERIOD_NS)
     scans = three + [0xFFFF] * 3 + three * 2
-    items = made.feed(RX, answer(0x8001, scans, 20, status=2943, info=9), START + round(100.6 * PERIOD_NS))
+    items = made.feed(RX, answer(0x8001, scans, 20, status=2943, info=9), round(102.6 * PERIOD_NS))
     (gap,) = events(items)
     assert gap.facts == {"samples": 94, "span_s": pytest.approx(0.0235), "uncertain_samples": 94}
     assert gap.text == "about 94 scans skipped by the device: more than it counts"

@@ -83,6 +83,7 @@ def test_a_rate_near_that_of_the_rig_file_is_reported_when_it_is_certain(deviati
         items = pipe.feed(RX, blocks(counters, ticks), START_NS + 40_000 * int(counters[-1]))
         assert values(items, "counter") == counters.tolist()
         found.append(events(items))
+    assert 0 < pipe.clock_std_ns < 1e7
     assert [len(each) for each in found] == [0, 0, 0, 0, int(reported), 0]
     for event in found[4]:
         assert event.kind == "rate"

@@ -113,6 +113,16 @@ def test_an_adapter_that_returns_requests_is_one_also_after_damage() -> None:
     assert line.lost() == {"damaged_bytes": 2, "unanswered": 1}
 
 
+def test_nothing_is_an_answer_before_a_returned_request() -> None:
+    line = Line()
+    line.ask()
+    line.hear(POLL + report())
+    line.ask()
+    line.hear(frame("01 83 02"))  # shorter than the request
+    assert line.pipeline.answers == []
+    assert line.lost() == {}
+
+
 def test_requests_without_an_answer_are_counted_before_the_next_answer_only() -> None:
     line = Line()
     for _ in range(3):

@@ -161,6 +161,22 @@ def test_a_sensor_that_comes_back_is_the_same_as_before(other: int) -> None:
     assert recorded(named.feed(RX, packet(0, [1], serial=70_000), S)) == [1]
 
 
+def test_a_packet_of_another_sensor_does_not_hide_those_after_it_in_a_read() -> None:
+    line = pipeline()
+    assert recorded(line.feed(RX, packet(0, [1]), S)) == [1]
+    assert (line.has_reported, line.losses) == (True, {"samples": 0, "bytes": 0, "invalid": 0})
+    items = line.feed(RX, packet(0, [2], serial=78) + packet(1, [3]), S + 1)
+    assert (kinds(items), recorded(items)) == (["fault"], [3])
+
+
+def test_a_sensor_that_started_again_is_numbered_by_its_counter() -> None:
+    line = pipeline()
+    line.feed(RX, packet(1000, [1, 2]), S)
+    (_, batch) = line.feed(RX, packet(7, [3, 4]), 2 * S)
+    assert isinstance(batch, Batch)
+    assert batch.sequence.tolist() == [7, 8]
+
+
 def test_the_serial_number_of_an_earlier_log_is_a_number() -> None:
     for known, found in (("78", [1]), (None, [1]), (77, [1]), (78, [])):
         assert recorded(with_identity({"serial": known}).feed(RX, packet(0, [1]), S)) == found
@@ -214,6 +230,7 @@ def test_each_change_of_the_rate_counts_the_samples_that_were_not_taken() -> Non
         assert sensor.run(7, 2500) == ["fault"]
         assert sensor.run(3) == ["gap", "restart"]
     line = sensor.line
+    assert 0 < line.clock_std_ns < 1e7
     assert line.losses["samples"] == sensor.counter - len(recorded(sensor.items))
     gaps = events(sensor.items, "gap")
     lost = [gap.facts["samples"] for gap in gaps]
