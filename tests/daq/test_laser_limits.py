@@ -103,6 +103,16 @@ def test_only_bytes_before_the_first_block_are_no_damage() -> None:
     assert pipe.losses["bytes"] == 3
 
 
+def test_a_block_that_is_cut_at_the_end_of_a_read_is_damage() -> None:
+    pipe = laser()
+    pipe.feed(RX, blocks(np.arange(100)), START_NS)
+    assert values(pipe.feed(RX, blocks(np.arange(100, 101)), START_NS + MS), "counter") == [100]
+    pipe.feed(RX, blocks(np.arange(101, 110)) + blocks(np.arange(110, 111))[:6], START_NS + 3 * MS)
+    items = pipe.feed(RX, blocks(np.arange(110, 120)), START_NS + 5 * MS)
+    assert values(items, "counter") == [*range(110, 120)]
+    assert [(event.kind, event.facts) for event in events(items)] == [("damage", {"bytes": 6})]
+
+
 def test_error_codes_are_counted_each() -> None:
     pipe = laser()
     codes = np.array([262_076, 262_078, 30_000, 262_076, 262_077, 262_076])

@@ -213,6 +213,18 @@ def test_only_nanometres_have_flags_that_are_compared_with_the_words() -> None:
     assert (event.kind, event.facts) == ("doubt", {"flags_1": 1 << 8, "flags_2": 0})
 
 
+def test_by_older_rules_no_flags_are_compared_with_the_words() -> None:
+    old = with_identity({"clock_rules": 5}, words=["DIST", "STATE"])
+    assert kinds(old.feed(RX, frames_packet(0, [[512, MID]], flags=1 << 8), S)) == []
+    assert old.doubt == ""
+
+
+def test_the_ticks_of_a_rate_without_a_whole_period_are_exact() -> None:
+    (batch,) = pipeline(rate_Hz=3000.0).feed(RX, packet(30_000, [1]), S)
+    assert isinstance(batch, Batch)
+    assert batch.columns["device_ticks"].tolist() == [1_000_000]
+
+
 @pytest.mark.parametrize(("rules", "found"), [(5, []), (6, ["fault"]), (7, ["fault"])])
 def test_flags_are_compared_by_the_rules_of_the_log(rules: int, found: list[str]) -> None:
     line = with_identity({"clock_rules": rules})

@@ -63,6 +63,8 @@ def test_a_fault_of_another_sensor_has_its_number() -> None:
     assert isinstance(fault, DeviceEvent)
     assert (fault.kind, fault.facts) == ("fault", {"serial": 677})
     assert line.feed(RX, packet(2), 5 * S) == []
+    old = with_identity({"serial": 70, "clock_rules": 5})
+    assert kinds(old.feed(RX, packet(0) + packet(1), 0)) == ["fault"]
     for unknown in ("70", True, None):
         assert len(batches(with_identity({"serial": unknown}).feed(RX, packet(0), 0))) == 1
 
@@ -117,6 +119,12 @@ def test_numbers_of_samples_wrap_after_32_bits_and_their_ticks_do_not() -> None:
     last = batches(items)[1]
     assert last.columns["counter"].tolist() == [(168 + lost + n) % 2**32 for n in range(168)]
     assert last.columns["device_ticks"].tolist() == [25 * (168 + lost + n) for n in range(168)]
+
+
+def test_the_ticks_of_a_rate_without_a_whole_period_are_exact() -> None:
+    (batch,) = pipeline(rate_Hz=3000.0).feed(RX, packet(0), S)
+    assert isinstance(batch, Batch)
+    assert batch.columns["device_ticks"][150] == 5000
 
 
 def test_single_results_are_readings_up_to_full_scale() -> None:
