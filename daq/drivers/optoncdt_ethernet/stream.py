@@ -244,7 +244,7 @@ class EthernetPipeline:
         range_m = self._settings.range_m
         distance = distances.metres(code, range_m, self._settings.scaling)
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(distance)))
-        counter = (number % wire.COUNTER_WRAP).astype(np.uint32)
+        counter = number.astype(np.uint32)  # wraps
         columns: dict[str, NDArray[Any]] = {
             "displacement_m": (distance - 0.5 * range_m) / self._settings.lever_ratio,
             "code": code,

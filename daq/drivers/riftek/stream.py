@@ -38,7 +38,6 @@ from daq.items import TX, Batch, DeviceEvent
 
 TICK_NS = 10_000
 """Unit of `device_ticks`."""
-COUNTER_WRAP = 2**32
 NOT_NEW = 0x2
 """Bit of `flags`: the sensor sent an older result again."""
 
@@ -247,11 +246,9 @@ class RiftekPipeline:
         if not late:
             self._lags.look(self._number, host_ns)
         time_ns = self._clock.map(number * self._period_ns, host_ns)
-        out: Items = []
-        if int(number[-1]) - int(number[0]) + 1 != len(number) or step[0] != 1:
-            out += self._gaps(rows, step, time_ns, found_late)
+        out = self._gaps(rows, step, time_ns, found_late)
         displacement, valid = self._measure(rows)
-        counter = (number % COUNTER_WRAP).astype(np.uint32)
+        counter = number.astype(np.uint32)  # wraps
         flags = self._spikes.feed(np.where(valid, rows.code, _NO_READING), counter)
         self._doubt(flags)
         suspect = np.flatnonzero(flags)

@@ -22,7 +22,6 @@ from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
-_COUNTER_WRAP = 2**32
 _OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets of another one are a fault
 
 Items = list[Batch | DeviceEvent]
@@ -147,7 +146,7 @@ class RiftekEthernetPipeline:
         number = self._next + np.arange(wire.RESULTS)
         self._next += wire.RESULTS
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
-        settings, counter = self._settings, (number % _COUNTER_WRAP).astype(np.uint32)
+        settings, counter = self._settings, number.astype(np.uint32)  # wraps
         distance = metres(packet.codes, settings.range_m)
         wrong = (packet.codes > FULL_SCALE) | np.isin(packet.codes, settings.no_target_codes)
         if settings.valid_status:
