@@ -152,12 +152,12 @@ def test_an_unreadable_report_is_damage_with_its_bytes() -> None:
 
 
 def test_a_rotor_does_not_follow_after_the_stated_time_of_reports() -> None:
-    """10 s at one report every 10 ms."""
-    line = pipeline(follow_s=10.0, estimates_ms=10)
+    """10.006 s at one report every 10 ms are 1001 reports."""
+    line = pipeline(follow_s=10.006, estimates_ms=10)
     line.feed(TX, text(velocity(10.0)), 0)
     still = text(estimates(0.0, 0.0))
-    assert kinds(line.feed(RX, 999 * still, 0)) == []
-    found = line.feed(RX, 2 * still, 0)
+    assert kinds(line.feed(RX, 1000 * still, 0)) == []
+    found = line.feed(RX, still, 0)
     ((kind, _, facts),) = events(found)
     assert (kind, facts) == ("fault", {"target_rpm": 600.0, "speed_rpm": 0.0})
     assert [type(item) for item in found] == [DeviceEvent, Batch]
