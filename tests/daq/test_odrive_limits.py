@@ -58,9 +58,12 @@ def kinds(items: Items) -> list[str]:
 
 
 def rows(items: Items) -> list[tuple[float, float, int]]:
-    names = ("speed_rpm", "target_rpm", "statusword")
-    found = [item for item in items if isinstance(item, Batch)]
-    return [row for b in found for row in zip(*(b.columns[name].tolist() for name in names), strict=True)]
+    out: list[tuple[float, float, int]] = []
+    for item in items:
+        if isinstance(item, Batch):
+            names = ("speed_rpm", "target_rpm", "statusword")
+            out += zip(*(item.columns[name].tolist() for name in names), strict=True)
+    return out
 
 
 def target(line: OdrivePipeline) -> float:
@@ -351,7 +354,7 @@ def test_the_first_report_of_each_kind_after_the_bus_was_opened_is_a_reply() -> 
     def replies() -> list[tuple[str, str, dict[str, Any]]]:
         return events(line.feed(RX, reports, 0), "reply")
 
-    both = [("reply", "heartbeat", {}), ("reply", "estimates", {})]
+    both: list[tuple[str, str, dict[str, Any]]] = [("reply", "heartbeat", {}), ("reply", "estimates", {})]
     assert [replies(), replies()] == [both, []]
     line.feed(TX, b"C\r" + text(velocity(0.0)), 0)
     assert replies() == []

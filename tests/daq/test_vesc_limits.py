@@ -75,9 +75,12 @@ def kinds(items: Items) -> list[str]:
 
 
 def rows(items: Items) -> list[tuple[float, float, int]]:
-    names = ("speed_rpm", "target_rpm", "statusword")
-    found = [item for item in items if isinstance(item, Batch)]
-    return [row for b in found for row in zip(*(b.columns[name].tolist() for name in names), strict=True)]
+    out: list[tuple[float, float, int]] = []
+    for item in items:
+        if isinstance(item, Batch):
+            names = ("speed_rpm", "target_rpm", "statusword")
+            out += zip(*(item.columns[name].tolist() for name in names), strict=True)
+    return out
 
 
 # --- any line -----------------------------------------------------------------------------------------------------
@@ -264,7 +267,11 @@ def test_a_start_is_reported_from_rules_6_on_and_is_the_same_as_that_of_the_coun
         line.feed(RX, can_answer(), 0)
         found = [line.feed(RX, data, MS) for data in (text(extended(57, 23)), can_answer(replace(TURNS, turned=7)))]
         assert ["restart" in kinds(items) for items in found] == times
-    start = ("restart", "the controller started again: it has sent the message of its start", {})
+    start: tuple[str, str, dict[str, Any]] = (
+        "restart",
+        "the controller started again: it has sent the message of its start",
+        {},
+    )
     assert events(line.feed(RX, text(extended(57, 23)), 2 * MS)) == [start]
 
 
