@@ -27,6 +27,7 @@ from daq.transports import slcan
 from daq.transports.slcan import CanFrame
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
+from tests.daq.motor_rows import rows
 
 MS = 1_000_000
 
@@ -57,15 +58,6 @@ def estimates(position: float, speed: float, node: int = 1) -> CanFrame:
 
 def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
     return [item.kind for item in items if isinstance(item, DeviceEvent) and item.kind != "reply"]
-
-
-def rows(items: list[Batch | DeviceEvent]) -> list[tuple[float, float, int]]:
-    out: list[tuple[float, float, int]] = []
-    for item in items:
-        if isinstance(item, Batch):
-            names = ("speed_rpm", "target_rpm", "statusword")
-            out += zip(*(item.columns[name].tolist() for name in names), strict=True)
-    return out
 
 
 # --- the codec --------------------------------------------------------------------------------------------------

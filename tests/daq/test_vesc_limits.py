@@ -18,6 +18,7 @@ from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.stream import VescCanPipeline, can_pipeline
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.slcan import CanFrame, encode
+from tests.daq.motor_rows import rows
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -72,15 +73,6 @@ def events(items: Items, *kinds: str) -> list[tuple[str, str, dict[str, Any]]]:
 
 def kinds(items: Items) -> list[str]:
     return [kind for kind, *_ in events(items)]
-
-
-def rows(items: Items) -> list[tuple[float, float, int]]:
-    out: list[tuple[float, float, int]] = []
-    for item in items:
-        if isinstance(item, Batch):
-            names = ("speed_rpm", "target_rpm", "statusword")
-            out += zip(*(item.columns[name].tolist() for name in names), strict=True)
-    return out
 
 
 # --- any line -----------------------------------------------------------------------------------------------------

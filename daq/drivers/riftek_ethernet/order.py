@@ -202,14 +202,7 @@ class PacketOrder:
 
 
 class FirstOrder:
-    """The order by the rules before ORDER_RULES, for logs that were recorded by them. See Order.
-
-    Args:
-        rate_Hz: sampling rate by the rig file, Hz.
-
-    Attributes:
-        repeated: see Order.
-    """
+    """The order by the rules before ORDER_RULES, for logs that were recorded by them. Arguments as in PacketOrder."""
 
     def __init__(self, rate_Hz: float) -> None:
         self.repeated: int = 0
