@@ -32,6 +32,7 @@ from rig_basics.ignoring import ignoring
 _log = logging.getLogger(__name__)
 
 _RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s
+_MOST_FAILURES = 10  # different texts about failed attempts to open a device again that are reported
 
 Taken = Callable[[str, Sequence[tuple[bytes, int]], bytes, int], None]
 """Called with a device's name, the bytes sent to it (each with its host time, ns), the bytes received, and their host
@@ -73,6 +74,7 @@ class Links:
         self._attending = False
         self._retry_at_s = 0.0
         self.refused: dict[str, str] = {}
+        self._failures: dict[str, set[str]] = {}  # reported texts of failed attempts since the last success, by device
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
@@ -345,9 +347,18 @@ class Links:
             raise _AnotherDevice(f"{name}: another device answers on this link: {differences}")
         if name == command.drive_name and command.drive is not None:
             command.drive.start()
+        self._failures.pop(name, None)
 
     def _refused(self, name: str, text: str) -> Iterator[Order]:
-        """Report a failed attempt to the operator and to the log. Repeated failures are not reported."""
+        """Report a failed attempt to the operator and to the log.
+
+        Repeated failures are not reported, and of failures with other texts, such as with numbers of bytes, the first
+        `_MOST_FAILURES` until the device is set up.
+        """
+        reported = self._failures.setdefault(name, set())
+        if len(reported) >= _MOST_FAILURES:
+            return
+        reported.add(text)
         if text not in self._core.notices:
             yield Note(DeviceEvent("other", HOST, text, {"of": name}), self._clock.now_ns())
         yield from self._core.warn(text)

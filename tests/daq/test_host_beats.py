@@ -118,7 +118,7 @@ def test_nothing_is_turned_while_another_node_bears_the_host_s_number(tmp_path: 
     changes = ["virtual.seed=5"]
     sim = LockstepRig(load_rig("virtual", settings=changes))
     rig = load_rig("virtual", settings=[*changes, *sim.port_settings()])
-    with (  # noqa: PT012
+    with (  # noqa: PT012 (the end of the block raises, and what is before it belongs to the test)
         pytest.raises(DeviceError, match="another node sends this host's heartbeat"),
         Session(rig, sim.clock, edge=sim.edge) as session,
     ):

@@ -121,6 +121,9 @@ def test_error_codes_are_counted_each() -> None:
     pipe.feed(RX, blocks(np.arange(6, 12), codes=codes), START_NS + MS)
     assert pipe.error_codes == {262_076: 6, 262_077: 2, 262_078: 2}
     assert pipe.losses["invalid"] == 10
+    pipe.feed(RX, blocks(np.arange(12, 112), codes=np.arange(262_000, 262_100)), START_NS + 2 * MS)
+    assert len(pipe.error_codes) == 32, "garbage has any number of codes"
+    assert pipe.error_codes[262_076] == 7
 
 
 @pytest.mark.parametrize(("spikes", "text"), [([300], "a sample jumps out of"), ([300, 340], "2 samples jump out of")])

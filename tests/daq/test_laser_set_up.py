@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import queue
+
 import pytest
 
 from daq.drivers.optoncdt import dialogue
+from daq.drivers.optoncdt.settings import Laser
 from daq.errors import DeviceError
 from tests.daq.hand_made_laser import HandMadeLaser
 
@@ -131,3 +134,24 @@ def test_a_rate_beyond_the_line_is_a_warning_with_the_highest_possible() -> None
 )
 def test_output_names_without_the_commands_name_are_read(answer: str) -> None:
     assert HandMadeLaser(outinfo=answer).set_up()["words"] == WORDS
+
+
+class Talkative(queue.Queue[str]):
+    """Replies of a sensor that sends lines of text without end."""
+
+    def get(self, block: bool = True, timeout: float | None = None) -> str:
+        return "1. DIST1"
+
+    def empty(self) -> bool:
+        return False
+
+
+def test_lines_without_end_after_a_repeated_command_are_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dialogue, "_MOST_LATE_S", 0.05)
+    sensor = HandMadeLaser()
+    sensor.replies = Talkative()
+    asked = dialogue._Dialogue("x", Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x"}), sensor)
+    begun_s = sensor.clock.wall_s()
+    asked._drop_answers(0.02)
+    asked._drop_answers(0.0)
+    assert sensor.clock.wall_s() - begun_s < 2.0

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
-from daq.drivers.contract import NoticesLostSetUp
+from daq.drivers.contract import NoticesLostSetUp, Talk
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.driver import DRIVER
+from daq.drivers.optoncdt.driver import DRIVER, OptoNcdt
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.drivers.optoncdt.sensor_answers import SensorInfo
 from daq.drivers.optoncdt.settings import Laser
+from daq.errors import DeviceError
 from daq.items import RX, TX
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
@@ -218,3 +220,29 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
     for name, kinds in (("a", ["altered"]), ("b", ["set_up"])):
         with open_log(tmp_path / f"{name}.mcap") as log:
             assert [event["kind"] for event in log.events if event["kind"] in ("altered", "set_up")] == kinds
+
+
+def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The text of a failure may contain numbers of bytes; a recording of hours makes thousands of attempts."""
+    sim, session = opened()
+    attempts: list[str] = []
+
+    def refuses(driver: OptoNcdt, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
+        attempts.append(f"{device}: refused attempt {max(0, len(attempts) - 4)}")  # the first five are equal
+        talk.clock.wait(0.1)
+        raise DeviceError(attempts[-1])
+
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        monkeypatch.setattr(OptoNcdt, "open", refuses)
+        pipeline = session._core.pipelines["laser_y"]
+        assert isinstance(pipeline, NoticesLostSetUp)
+        pipeline.set_up_lost = "it may have lost power"
+        for _ in range(800):
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    assert len(attempts) > 15
+    assert [notice for notice in session.notices if "refused attempt" in notice] == attempts[4:14]

@@ -16,6 +16,7 @@ from daq.errors import DeviceError
 _ANSWER_S = (1.0, 1.5)
 """Waits for an answer after the first and after the repeated command, wall s; MASTERMV takes up to 2 s."""
 _QUIET_S = 0.25  # without a further answer, after which no late one follows; wall s
+_MOST_LATE_S = 2.0  # of a sensor that sends lines without end, wall s
 _ACCESS = re.compile(r"access|denied", re.IGNORECASE)
 _ARGUMENT = re.compile(r"parameter|argument|value|range|timeout", re.IGNORECASE)
 _BITS_PER_WORD = 30  # three bytes, each with a start bit and a stop bit
@@ -152,9 +153,11 @@ class _Dialogue:
         return None
 
     def _drop_answers(self, quiet_s: float) -> None:
-        """Remove answers until none has arrived for some wall seconds."""
+        """Remove answers until none has arrived for some wall seconds, or some more have passed."""
+        clock = self._talk.clock
+        end_s = clock.wall_s() + _MOST_LATE_S
         try:
-            while True:
+            while clock.wall_s() < end_s:
                 if quiet_s:
                     self._talk.replies.get(timeout=quiet_s)
                 else:

@@ -24,6 +24,8 @@ from daq.items import TX, Batch, DeviceEvent
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock
 
+_MOST_CODES = 32  # different error codes that are counted
+
 Items = list[Batch | DeviceEvent]
 
 
@@ -31,7 +33,7 @@ class LaserPipeline:
     """Decoder of optoNCDT bytes to displacement of the disk centre, with counted gaps.
 
     Attributes:
-        error_codes: number of samples so far with each error code in place of a distance.
+        error_codes: number of samples so far with each error code in place of a distance, of the first 32 codes.
 
     Raises:
         DeviceError: range, scaling or words of the identity are invalid.
@@ -221,7 +223,8 @@ class LaserPipeline:
         if invalid:
             codes, counts = np.unique(code[np.isnan(displacement)], return_counts=True)
             for each, count in zip(codes.tolist(), counts.tolist(), strict=True):
-                self.error_codes[each] = self.error_codes.get(each, 0) + count
+                if each in self.error_codes or len(self.error_codes) < _MOST_CODES:  # garbage has any number of them
+                    self.error_codes[each] = self.error_codes.get(each, 0) + count
         flags = self._spikes.feed(code, counter)
         columns = {
             "displacement_m": displacement,
