@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import Literal
 
+from daq.drivers.optoncdt_ethernet.wire import COUNTER_WRAP
+
 Counts = Literal["frames", "packets"]
 
-COUNTER_WRAP = 2**32
 _SHORT_WRAP = 2**24
 _RESTART_FRAMES = 2**31  # a larger step of the counter is one backwards
 _EARLY_S = 1.0  # by which frames would have been received before they were measured
