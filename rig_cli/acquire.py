@@ -170,7 +170,8 @@ def record(
         warnings = [*session.notices, *unheard, *([f"wrong rates: {rates}"] if rates else [])]
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
     else:
-        notify(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        warned = f"; {len(session.notices)} warnings (above): the run is not clean" if session.notices else ""
+        notify(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}{warned}")
         for text in unheard:
             notify(f"warning: {text}")
         if rates:

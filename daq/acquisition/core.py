@@ -33,6 +33,7 @@ PAST_S = 30.0
 _MAX_PAST_BYTES = 8 * 2**20  # of one device
 _WATCH_PERIOD_S = 0.25  # of the check for silent devices, wall s
 _HEALTH_PERIOD_S = 1.0  # of health reports, rig s
+_NOT_CLEAN = {"restart": ". Its clock is not continuous: this log is not analysed", "doubt": ""}  # of sensors at rest
 _MAX_REASON_DELAY_S = 0.3  # between the state of a drive that stopped and its report of the reason, wall s
 
 
@@ -256,7 +257,10 @@ class Core:
             elif item.kind == "undecodable":
                 yield from self.warn(item.text)
             if self.guarding and item.kind not in ("reply", "acknowledge"):
-                yield from self._act_on(self.interlocks.happened(item), host_ns)
+                stops = self.interlocks.happened(item)
+                yield from self._act_on(stops, host_ns)
+                if not stops and item.kind in _NOT_CLEAN:
+                    yield from self.warn(f"{item.device}: {item.text}{_NOT_CLEAN[item.kind]}")
 
     def _decoded(self, device: str, direction: int, data: bytes, host_ns: int) -> Keep:
         """Decode bytes. If the decoder fails, the bytes are kept and the device is no longer decoded."""

@@ -1,0 +1,42 @@
+"""`rig record` ends with a line that names more than the losses if the run is not clean."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")
+
+
+def test_a_sensor_that_loses_power_at_rest_makes_the_run_not_clean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "a.mcap"
+    with VirtualRigProcess("virtual", ["virtual.seed=5"], 4.0, waits=True) as far:
+
+        def cut() -> None:
+            part = log.with_name("a.mcap.part")
+            while not (part.exists() and part.stat().st_size > 100_000) and not ended.wait(0.05):
+                pass
+            far.line.ask("fail", device="laser_y", what="power", value=1, seconds=0.5)
+
+        ended = threading.Event()
+        cutting = threading.Thread(target=cut)
+        cutting.start()
+        ports = [word for setting in far.port_settings() for word in ("--set", setting)]
+        with patch("rig_cli.acquire.HostClock", lambda scale: far.clock):  # its time waits for a busy machine
+            code = run(["record", "virtual", "--duration", "30", "-o", str(log), *ports])
+        ended.set()
+        cutting.join()
+    err = capsys.readouterr().err
+    assert code == 3
+    restarted = "laser_y: counter and timestamp do not continue: the sensor restarted. Its clock is not continuous"
+    assert f"warning: {restarted}" in " ".join(err.split())
+    assert err.rstrip().endswith(" warnings (above): the run is not clean")
