@@ -111,6 +111,11 @@ class ChannelWatch:
         """Return the time since the last sample of a channel, relative to the other channels, s; 0 if it is not due."""
         return self._late_ns(self._channels[topic], now_ns) * 1e-9
 
+    def sampleless_s(self, topic: str, now_ns: int) -> float:
+        """Return the time since the last sample of a channel, s; 0 if it is not due."""
+        heard_ns = self._channels[topic].heard_ns
+        return 0.0 if heard_ns is None else (now_ns - heard_ns) * 1e-9
+
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
         """Return the silence in this log so far by device and channel, ms. Values of 0 are omitted."""
         out: dict[str, dict[str, int]] = {}

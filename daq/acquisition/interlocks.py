@@ -313,8 +313,8 @@ class Interlocks:
         return [
             Stop(
                 "device",
-                f"{topic}: silent for {self.channels.silent_s(topic, now_ns):.1f} s. Look at the device, its cable, "
-                "its power or battery, its radio",
+                f"{topic}: silent for {self.channels.sampleless_s(topic, now_ns):.1f} s. Look at the device, its "
+                "cable, its power or battery, its radio",
                 self._silences[topic],
             )
             for topic in self._due

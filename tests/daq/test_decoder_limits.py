@@ -124,6 +124,21 @@ def test_blocks_before_damage_do_not_count_for_the_decision() -> None:
     assert undecided.feed(blocks[4])[0] is False
 
 
+def test_three_blocks_after_damage_decide_also_without_a_counter() -> None:
+    undecided = trial(("DIST", "COUNTER"))
+    blocks = [optoncdt.encode_block([[5, i]]) for i in range(3)]
+    assert undecided.feed(b"\xff" + b"".join(blocks[:2]))[0] is None
+    assert undecided.feed(blocks[2])[0] is True
+
+
+def test_a_value_that_is_cut_is_counted_by_the_next_block() -> None:
+    block = optoncdt.encode_block([[1, 2, 3, 4]])
+    decoder = optoncdt.BlockDecoder(WORDS)
+    decoder.feed(b"\x01")
+    found = decoder.feed(2 * block)
+    assert (found.skipped_bytes, found.values.tolist()) == (1, 2 * [[1, 2, 3, 4]])
+
+
 def test_a_later_answer_replaces_the_announced_words() -> None:
     undecided = trial(("DIST",))
     blocks = [optoncdt.encode_block([[5, i]]) for i in range(4)]

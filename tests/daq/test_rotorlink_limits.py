@@ -100,6 +100,22 @@ def test_the_time_of_a_gap_goes_on_over_the_wrap_of_the_node_s_clock() -> None:
     assert line.events("gap")[0].facts["span_s"] == pytest.approx(0.01, abs=1e-9)
 
 
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_first_block_across_the_wrap_of_the_node_s_clock_has_no_negative_times(restarts: bool) -> None:
+    line = Line()
+    if restarts:  # the first block after a restart is a first block, too
+        line.at(-30_000_000, block(0, 90_000, 30_000_000))
+        line.items.clear()
+    line.at(5_000, block(1, 0, -4_000))
+    line.at(15_000, block(2, 10, 6_000))
+    line.end()
+    node_us = np.array(line.values("node_time_us"), np.int64)
+    assert len(line.events("restart")) == restarts
+    assert len(node_us) == 20
+    assert np.all(np.diff(node_us) == 1_000)
+    assert node_us[0] == 2**32 - 4_000
+
+
 @pytest.mark.parametrize(
     ("silence_us", "span_s", "next_s"), [(2**31 - 1, 2147.483647, 0.01), (2**31, 0.0, 0.0), (2**31 + 1, 0.0, 0.0)]
 )

@@ -18,15 +18,17 @@ class SenderClock:
         """Newest time taken, unwrapped, µs; 0 before the first."""
         return 0 if self._newest is None else self._newest[0]
 
-    def has_restarted(self, sender_us: int, host_ns: int) -> bool:
+    def has_restarted(self, sender_us: int, host_ns: int, span_us: int = 0) -> bool:
         """Take the time of a frame; return whether the sender has restarted. Then a new `SenderClock` is needed.
 
         Args:
             sender_us: time of the sender in the frame, µs, wrapped.
             host_ns: host time of the frame, ns since 1970.
+            span_us: time from the first to the newest sample of the frame, µs. If the clock wraps between them in the
+                first frame, unwrapped times begin one wrap later, so that none is negative.
         """
         if self._newest is None:
-            self._newest = sender_us, host_ns
+            self._newest = sender_us + _WRAP_US * (sender_us < span_us), host_ns
             return False
         newest_us, newest_ns = self._newest
         passed_us = (host_ns - newest_ns) // 1000

@@ -259,7 +259,8 @@ class NodePipeline:
             Number of frames missing before it, whether it is a repeated frame, and whether its node has restarted.
         """
         before_us, restarts = self._time.newest_us, self._air.restarts
-        if node_us is not None and self._time.has_restarted(_newest_us(node_us, block), host_ns):
+        span_us = 0 if block is None else (len(block.counts) - 1) * block.period_us
+        if node_us is not None and self._time.has_restarted((node_us + span_us) % _WRAP, host_ns, span_us):
             return 0, False, True
         if self._time.newest_us - before_us > _MAX_SILENCE_US:
             lost, repeated = self._air.go_on(seq), False
@@ -342,11 +343,6 @@ def _node_of(identity: Mapping[str, Any]) -> int | None:
     if node is None or (type(node) is int and 0 <= node < _NODES):
         return node
     raise DeviceError(f"identities.json: expected a node's number, 0 to {_NODES - 1}, got {node!r:.80}")
-
-
-def _newest_us(node_us: int, block: rotorlink.EncoderBlock | None) -> int:
-    """Return the newest node time in a frame, µs: that of the last sample of a block."""
-    return node_us if block is None else (node_us + (len(block.counts) - 1) * block.period_us) % _WRAP
 
 
 def _seconds(before_us: int, after_us: int) -> float:
