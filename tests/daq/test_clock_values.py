@@ -123,6 +123,27 @@ def test_the_least_delayed_read_of_a_bin_counts() -> None:
     assert a.host_ns - a.device_ns == b.host_ns - b.device_ns == START_NS - DEVICE0_NS + MS
 
 
+@pytest.mark.parametrize("late_ms", [40.0, 400.0])
+def test_a_sample_before_a_gap_is_mapped_as_without_the_gap(late_ms: float) -> None:
+    """A correction is in progress: of 0.13 and 0.5 of the clock's rate."""
+    for device_ns in range(DEVICE0_NS + 20 * MS, DEVICE0_NS + 20 * MS + 8):
+        times: list[int] = []
+        for later in ([], [DEVICE0_NS + 900 * MS]):
+            clock = ClockMap(50.0)
+            mapped(clock, 0.0, late_ms)
+            mapped(clock, 10.0)
+            times.append(int(clock.map(np.array([device_ns, *later]), START_NS + 1000 * MS)[0]))
+        assert times[0] == times[1]
+
+
+def test_a_clock_with_a_seed_has_its_line_from_the_eighth_bin_on_of_which_the_seed_is_one() -> None:
+    clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, 0.0, 2**50))
+    assert clock.step_ns == 0
+    for k in range(9):
+        mapped(clock, 250.0 * k, 0.01 * k)
+        assert (rate_after(clock) != 0.0) is (k > 6), k  # a bin ends with the first read of the next one
+
+
 def seeded(early_ms: float, rate: float = 1e-4) -> tuple[float, float]:
     """Lateness of the first sample, ms, and the mapped rate minus 1, of a map with a seed at the first read."""
     clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, rate, 2**50))
