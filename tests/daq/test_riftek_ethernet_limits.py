@@ -47,6 +47,14 @@ def test_packets_of_another_sensor_are_a_fault_after_a_silence_of_one_second(oth
     assert line.complaint == ""
 
 
+def test_packets_of_another_sensor_do_not_hide_those_read_with_them() -> None:
+    line = pipeline(serial=678)
+    others = [packet(number, serial=677) for number in range(3)]
+    found = line.feed(RX, b"".join([packet(0, serial=678), *others, packet(1, serial=678)]), 0)
+    assert len(batches(found)) == 2
+    assert line.losses["bytes"] == 3 * 512
+
+
 def test_of_a_slow_sensor_the_silence_is_that_of_four_packets() -> None:
     """At 80 Hz a packet lasts 2.1 s."""
     for later_ns, is_fault in ((8_399_999_999, False), (8_400_000_000, True)):
