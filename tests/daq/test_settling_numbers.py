@@ -20,6 +20,7 @@ from daq.signals.settling import (
     RotorSignals,
     Settling,
     SettlingLimits,
+    _judged,
     _more,
     _slipping,
     _visible,
@@ -590,6 +591,14 @@ def test_the_worse_quantity_counts_with_the_least_width() -> None:
     assert still == bound(windows(12), np.zeros(12), 0.05, 2.0)
     wide = _worst(seen(np.zeros((12, 2)), (0.2, 0.0)), 0.5, 0.1, 2.0)
     assert wide == bound(windows(12), np.zeros(12), 0.2, 2.0)
+
+
+def test_the_least_width_is_a_fiftieth_of_the_angles_tolerance_and_a_tenth_of_the_amplitudes() -> None:
+    limits = SettlingLimits(angle_tolerance_rad=0.5, amplitude_tolerance_m=3e-6, average_s=2.0)
+    still = seen(np.zeros((12, 2)), (0.0, 0.0))
+    found = _judged(still, still, limits, "", held=False)
+    assert found.remaining_rad == pytest.approx(bound(windows(12), np.zeros(12), 0.01, 2.0).remaining)
+    assert found.remaining_m == pytest.approx(bound(windows(12), np.zeros(12), 3e-7, 2.0).remaining)
 
 
 @pytest.mark.parametrize("kind", [Settling, SettlingLimits, RotorSignals, Approach, WindowMeans])
