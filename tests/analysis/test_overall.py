@@ -17,16 +17,11 @@ from analysis.differences import Differences
 from analysis.explanations import explanations
 from analysis.validation import Validation
 from daq.signals.run import Run
-from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs import IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
 from tests.effort import thorough
 
 SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
 
 
 @pytest.fixture(scope="module")

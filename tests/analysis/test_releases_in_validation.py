@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from analysis_runs import Drawn, draw, point_run
+from analysis_runs import Drawn, point_run
 
 from analysis import validate
 from analysis.differences import Rows, differences
 from daq.signals.run import Run
-from rig_configs import Rig, load_rig
+from rig_configs import Rig
 from rig_configs.drag import Reading
 
 C3 = "c3_Nms_per_rad"
@@ -35,16 +35,6 @@ class Made:
     by_slow_roll: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     reading: Reading = ""
     remark: str = ""
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
-
-
-@pytest.fixture(scope="module")
-def drawn(rig: Rig) -> Drawn:
-    return draw(rig, 0)
 
 
 @pytest.fixture(scope="module")

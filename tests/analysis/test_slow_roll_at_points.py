@@ -6,28 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analysis_runs import Drawn, draw, point_run
+from analysis_runs import Drawn, point_run
 
 from analysis import validate
 from analysis.prediction import predict_point
 from analysis.validation import Validation
 from daq.signals.run import Run
-from rig_configs import Rig, load_rig
+from rig_configs import Rig
 from rig_configs.slow_roll import SlowRoll
 
 POINTS = {"A": 45.0, "B": 50.0, "E": 25.0}
 RUN_OUT, BOW = 60e-6 * np.exp(0.8j), 40e-6 * np.exp(2.0j)
 BETA = np.radians(1.0)
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
-
-
-@pytest.fixture(scope="module")
-def drawn(rig: Rig) -> Drawn:
-    return draw(rig, 0)
 
 
 @pytest.fixture(scope="module")

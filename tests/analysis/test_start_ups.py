@@ -15,15 +15,10 @@ from analysis import Validation, measure, validate
 from analysis.start_ups import START_UPS, StartUps
 from daq.lockstep.rehearsal import Rehearsal
 from daq.signals.run import Run
-from rig_configs import Rig, load_rig
+from rig_configs import Rig
 from studies.runs import load_runs
 
 COUNT = 5
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
 
 
 @pytest.fixture(scope="module")

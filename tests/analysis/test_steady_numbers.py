@@ -47,11 +47,6 @@ THETA = (math.radians(250.3), math.radians(240.1))
 RELEASE_S, END_S = 4.0, 24.0
 
 
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
-
-
 def made(
     left_rad: float = 0.0,
     rate: float = 0.2,

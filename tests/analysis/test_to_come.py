@@ -11,15 +11,10 @@ from analysis.prediction import predict_point
 from analysis.steady_state import SteadyMeasurement, measure
 from analysis.to_come import UNEXPLAINED
 from daq.signals.run import Run
-from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs import IdentifiedParameters, Rig
 
 STOPPED_S = {"A": 29.0, "B": 38.0, "C": 51.6, "D": 15.9}  # after release: where a guided test would have ended
 SEEDS = 4
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
 
 
 def exact_run(rig: Rig, name: str, seed: int) -> Run:

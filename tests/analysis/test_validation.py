@@ -20,16 +20,6 @@ SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
 
 
 @pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
-
-
-@pytest.fixture(scope="module")
-def drawn(rig: Rig) -> Drawn:
-    return draw(rig, 0)
-
-
-@pytest.fixture(scope="module")
 def runs(rig: Rig, drawn: Drawn) -> dict[str, Run]:
     return {name: point_run(rig, name, drawn=drawn, after_s=SETTLED_S[name]) for name in rig.points}
 

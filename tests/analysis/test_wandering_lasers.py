@@ -5,26 +5,16 @@ import math
 
 import numpy as np
 import pytest
-from analysis_runs import Drawn, draw, point_run
+from analysis_runs import Drawn, point_run
 
 from analysis import validate
 from analysis.steady_state import measure
 from analysis.to_come import UNEXPLAINED
 from daq.signals.run import Run
-from rig_configs import Rig, load_rig
+from rig_configs import Rig
 
 SETTLED_S = {"A": 45.0, "B": 50.0}
 WANDER_M = 1e-5
-
-
-@pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig("virtual")
-
-
-@pytest.fixture(scope="module")
-def drawn(rig: Rig) -> Drawn:
-    return draw(rig, 0)
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import re
-import shutil
-import subprocess
-from html import unescape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +11,8 @@ from matplotlib.figure import Figure
 from analysis.figures.page import write_figure
 from analysis.figures.readout import Readout
 from analysis.figures.sheet import sheet
+from tests.browser import needs_browser, probed
 
-BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b), None)
 PROBE = """<script>
 window.addEventListener("load", () => {
   const stage = document.getElementById("stage"), svg = stage.querySelector("svg");
@@ -64,7 +58,7 @@ window.addEventListener("load", () => {
 </script></body>"""
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+@needs_browser
 def test_a_page_reads_out_the_value_under_the_pointer(tmp_path: Path) -> None:
     figure = Figure(figsize=(6.0, 3.0))
     figure.add_axes((1 / 6, 0.5 / 3, 4 / 6, 2 / 3)).plot([1, 100], [0, 1])
@@ -75,7 +69,7 @@ def test_a_page_reads_out_the_value_under_the_pointer(tmp_path: Path) -> None:
     readout = Readout(box, ("Ω", "K <y>"), (True, False), x, y, {"|μ|": values, "rate, 1/s": 10 * values})
     page = tmp_path / "map.html"
     write_figure(page, figure, "a map", readout)
-    result = _probed(page, READ)
+    result = probed(page, READ)
     assert result["before"] == "point at the map to read its values"
     assert result["first"].split("   ") == ["Ω: 1", "K <y>: 0", "|μ|: 0", "rate, 1/s: 0"]
     assert result["middle"].split("   ") == ["Ω: 10", "K <y>: 1", "|μ|: 4", "rate, 1/s: 40"]
@@ -84,43 +78,13 @@ def test_a_page_reads_out_the_value_under_the_pointer(tmp_path: Path) -> None:
     assert result["zoomed"] == result["first"]
 
 
-def _probed(page: Path, probe: str) -> dict[str, Any]:
-    """Result of a script that runs in the page."""
-    page.write_text(page.read_text(encoding="utf-8").replace("</body>", probe), encoding="utf-8")
-    done = subprocess.run(
-        [
-            str(BROWSER),
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--window-size=1280,900",
-            f"--user-data-dir={page.parent / 'profile'}",
-            "--virtual-time-budget=5000",
-            "--dump-dom",
-            page.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout)
-    assert found, done.stdout[-500:] + done.stderr[-500:]
-    return json.loads(unescape(found[1]))
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+@needs_browser
 def test_a_page_zooms_moves_and_shows_all_again(tmp_path: Path) -> None:
     with sheet(6.0, 3.0, "a line") as figure:
         figure.add_subplot().plot([0, 1, 2], [0, 2, 1], label="measured")
     page = tmp_path / "line.html"
     write_figure(page, figure, "a line")
-    result = _probed(page, PROBE)
+    result = probed(page, PROBE)
     assert result["closer"] == pytest.approx(0.8 * result["whole"])
     assert result["moved"] > 0
     assert result["again"] == pytest.approx(result["whole"])

@@ -15,6 +15,8 @@ from dynamics.bench import first_release, first_release_heyoka, heyoka_runs, tab
 from dynamics.bench.records import Measurement, Target, compared, over_points, worth_showing
 from rig_cli.main import run
 
+KEYS = {"what", "machine", "seconds", "recommendations", "notes", "targets", "measurements", "files"}
+
 
 def row(method: str, seconds: float, error: float | None, peer: bool = False, case: str = "c") -> Measurement:
     return Measurement("motion", case, method, "as is", seconds, "run", error, peer=peer)
@@ -24,16 +26,7 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     pytest.importorskip("heyoka")
     assert run(["bench", "dynamics", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result) == {
-        "what",
-        "machine",
-        "seconds",
-        "recommendations",
-        "notes",
-        "targets",
-        "measurements",
-        "files",
-    }
+    assert set(result) == KEYS
     rows = result["measurements"]
     assert {r["service"] for r in rows} == {"multipliers", "motion", "map", "batch", "steady states"}
     for r in rows:
@@ -82,16 +75,7 @@ def test_identification_writes_every_service_next_to_peers(
     monkeypatch.setattr(precision, "_tracking", lambda physics, size: precision._spin_downs(size)[0])
     assert run(["bench", "identification", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result) == {
-        "what",
-        "machine",
-        "seconds",
-        "recommendations",
-        "notes",
-        "targets",
-        "measurements",
-        "files",
-    }
+    assert set(result) == KEYS
     assert any(f"seed {precision.SEED}" in note for note in result["notes"])
     rows = result["measurements"]
     for service, ours, peer in (("ring-down", "fit_ring_down", "half-power"), ("spin-down", "fit_spin_down", "line")):

@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
-import sys
-import sysconfig
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from daq import open_log
+from tests.example_wheel import python_with
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "rig_driver_tilt"
-UV = os.environ.get("UV") or shutil.which("uv") or next(map(str, sorted(ROOT.glob(".tools/uv-*/bin/uv"))), None)
 
 TWINS = '''
 from dataclasses import replace
@@ -86,24 +83,7 @@ sys.exit(code or run(["replay", log, "--check", "--json"]))
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Of a fresh virtual environment with the example's wheel in it."""
-    if UV is None:
-        pytest.skip("needs uv to build a wheel")
-    folder = tmp_path_factory.mktemp("example")
-    shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__"))
-    build = [UV, "build", "--wheel", "--out-dir", str(folder), str(folder / "source")]
-    if subprocess.run([*build, "--offline"], capture_output=True, check=False).returncode:
-        subprocess.run(build, capture_output=True, check=True)
-    (wheel,) = folder.glob("*.whl")
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
-    scripts = "Scripts" if sys.platform == "win32" else "bin"
-    found = str(folder / "venv" / scripts / Path(sys.executable).name)
-    command = [found, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    site = Path(subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip())
-    install = [UV, "pip", "install", "--offline", "--no-index", "--no-deps", "--python", found, str(wheel)]
-    subprocess.run(install, capture_output=True, check=True)
-    ours = sysconfig.get_path("purelib")
-    (site / "ours.pth").write_text(f"import site; site.addsitedir({ours!r})\n{ROOT}\n")
-    return found
+    return python_with("rig_driver_tilt", tmp_path_factory.mktemp("example"))
 
 
 def ran(python: str, folder: Path, *arguments: str, code: int = 0) -> str:
