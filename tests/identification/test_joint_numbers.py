@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import FrozenInstanceError, replace
 from datetime import UTC, datetime
+from importlib import import_module
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,13 +25,13 @@ from identification.joint.agreement import (
     verdict,
 )
 from identification.joint.budget import ParameterBudgets, parameter_budgets
-from identification.joint.combine import JointEstimate, joint_estimate, reduced
+from identification.joint.combine import JointEstimate, _widen, joint_estimate, reduced
 from identification.joint.limits import SOURCES, ParameterLimit, limits
 from identification.joint.provenance import KeptTest, kept_tests, model_share, rebuilt, with_tests
 from identification.joint.rows import ConsistencyRow, rows_of
 from identification.joint.shared_friction import friction_messages, with_shared_friction
 from identification.joint.weighting import Weighted, weighted
-from identification.pendulums.open_friction import OpenFriction, Together
+from identification.pendulums.open_friction import OpenFriction, Together, together
 from identification.pendulums.transient import TransientFit
 from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.error_label import ErrorLabel
@@ -737,6 +739,38 @@ def test_friction_is_found_without_a_test_that_stands_apart() -> None:
     assert shared is not None
     assert shared.friction[:2] == pytest.approx([5e-5] * 2, rel=1e-6)
     assert list(joint_estimate(found).left_out) == [4]
+
+
+def test_the_friction_is_computed_four_times_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each joint estimate leaves out one more test."""
+    module = "identification.joint.shared_friction"
+    pairs = [transient(i, LOG_C, 5e-5) for i in range(8)]
+    out: set[int] = set()
+    used: list[list[int] | None] = []
+
+    def one_more(estimates: list[Estimate]) -> SimpleNamespace:
+        out.add(len(out))
+        return SimpleNamespace(left_out=dict.fromkeys(out, ""))
+
+    def followed(opens: list[OpenFriction], trusted: list[int] | None, sources: Any) -> Together:
+        used.append(trusted)
+        return together(opens, trusted, sources)
+
+    monkeypatch.setattr(f"{module}.joint_estimate", one_more)
+    monkeypatch.setattr(f"{module}.together", followed)
+    with_shared_friction([e for e, _ in pairs], {e.sources: fit for e, fit in pairs})
+    assert used == [None, [1, 2, 3, 4, 5, 6, 7], [2, 3, 4, 5, 6, 7], [3, 4, 5, 6, 7]]
+
+
+@pytest.mark.parametrize(("tau", "factor"), [(0.0, 4.0), (0.1, 4.0 * 1.01), (0.11, 1.0121)])
+def test_tests_that_differ_only_in_their_correlation_are_widened_twofold(
+    monkeypatch: pytest.MonkeyPatch, tau: float, factor: float
+) -> None:
+    """The extra error is given in standard deviations of the tests, which are of 0.02."""
+    monkeypatch.setattr(import_module("identification.joint.combine"), "_extra_std", lambda *given: 0.02 * tau)
+    kept = [one(0.0, 0.02), one(0.1, 0.02)]
+    assert _widen(kept, (K1,), (0, 1), {}) == (0, 1)
+    assert [each.covariance[0, 0] for each in kept] == pytest.approx([factor * 0.02**2] * 2)
 
 
 def test_sources_of_known_numbers_weigh_the_tests_together() -> None:
