@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from identification.compare import Change, ParameterComparison, compare_parameters
+from identification.compare import Change, ParameterComparison, _whitened, compare_parameters
+from identification.difference import ParameterDifference
 from identification.errors import NotIdentifiable
 from rig_configs import IdentifiedParameters
 
@@ -154,6 +155,30 @@ def test_a_change_of_an_exact_value_has_no_significance() -> None:
     exact = compared({"k1_N_per_m": K1, "zeta1": ZETA1}, {"k1_N_per_m": K1, "zeta1": 0.1 * ZETA1}, [0.0, 0.0])
     assert (exact.chi2, exact.dof, exact.p) == (0.0, 0, 1.0)
     assert exact.in_words() == "nothing changed significantly"
+
+
+def test_directions_without_a_change_are_counted_if_there_are_any() -> None:
+    old, new = {"k1_N_per_m": K1, "k2_N_per_m": K2}, {"k1_N_per_m": K1 + 2.0, "k2_N_per_m": K2}
+    assert not any("directions" in note for note in compared(old, new, [0.5, 2.0]).notes)
+    assert compared(old, new, [0.5, 0.0]).notes[-1].startswith("1 of 2 directions")
+
+
+@pytest.mark.parametrize(("share", "rank"), [(0.09, 0), (0.11, 2)])
+def test_a_direction_is_known_above_the_blur(share: float, rank: int) -> None:
+    """Variance of a change over that of two independent estimates, which are correlated."""
+    own = np.array([[1.0, 0.6], [0.6, 1.0]])
+    assert _whitened(np.ones(2), share * own, own, 0.1)[1] == rank
+
+
+def test_the_blur_of_a_variance_is_that_of_the_deviation_squared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deviations of 0.1 of those of two independent estimates, for a blur of 0.09 and 0.11."""
+    old, new = (
+        IdentifiedParameters({"k1_N_per_m": K1, "k2_N_per_m": K2 + more}, np.diag([0.5, 0.5])) for more in (0.0, 1.0)
+    )
+    for blur, rank in ((0.09, 2), (0.11, 0)):
+        apart = ParameterDifference(("k1_N_per_m", "k2_N_per_m"), 0.01 * np.eye(2), blur, [])
+        monkeypatch.setattr("identification.compare.difference", lambda *given, apart=apart: apart)
+        assert compare_parameters(old, new).dof == rank
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig, parse_setting
 from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
-from rig_configs.load import apply_setting, refusal, validate, with_truth
+from rig_configs.known import INDEX, ZERO_A, ZERO_B
+from rig_configs.load import _relative, apply_setting, refusal, validate, with_truth
 from rig_configs.schema import (
     Imbalance,
     Limits,
@@ -533,3 +534,19 @@ def test_a_parameters_file_holds_every_fact_and_a_label_of_its_content(tmp_path:
         IdentifiedParameters.from_text("not TOML", "a.mcap.part")
     with pytest.raises(ParametersFileError, match="not a TOML file"):
         IdentifiedParameters.from_text("not TOML", "a.toml")
+
+
+def test_the_own_covariance_of_exact_values_is_zero_for_them() -> None:
+    exact = parameters(covariance=np.diag([0.0, 1e-8]))
+    assert exact.own_covariance == pytest.approx(np.diag([0.0, 1e-8]), abs=1e-16)
+
+
+def test_a_relative_setting_of_a_negative_whole_number_keeps_its_fraction() -> None:
+    assert _relative(-3, "*1.5", "a.b", "SETTINGS") == -4.5
+    changed = _relative(-3, "*2", "a.b", "SETTINGS")
+    assert (changed, type(changed)) == (-6, int)
+
+
+def test_errors_of_zeros_and_index_are_zero_until_they_are_known() -> None:
+    values = load_rig("virtual").known.values
+    assert [values[name] for name in (ZERO_A, ZERO_B, INDEX)] == [0.0, 0.0, 0.0]
