@@ -184,6 +184,8 @@ def test_messages_of_a_constant_layout_become_columns() -> None:
     assert collected(data, [1], 1)[0] == 1
     assert collected(data, [2], 1)[0] == collected(data, [1], 1, size=27)[0] == scan.OTHER_LAYOUT
     assert collected(data, [9], 0)[0] == collected(data, [], 0)[0] == 0
+    for kind in (4, 6):  # another record with the same bytes
+        assert collected(bytes([kind]) + message(1, 1, 1, fixed(1, 2, 3, 4))[1:], [1], 0)[0] == 0
     for at in (0, 9, 14, 23):  # a wrong tag
         wrong = bytearray(fixed(1, 2, 3, 4))
         wrong[at] ^= 1
@@ -213,6 +215,8 @@ def test_message_indexes_are_read_up_to_another_record() -> None:
     for size in (15, 17, 0):
         assert indexed(index(7, [(40, 3)], size))[:2] == (0, [])
     assert indexed(record(7, struct.pack("<HI", 7, 8) + bytes(8)))[:2] == (0, [])
+    for kind in (6, 8):  # another record with the same bytes
+        assert indexed(first + bytes([kind]) + second[1:])[:2] == (len(first), [[0x1234, 2]])
 
 
 def test_message_indexes_are_compared_with_their_chunk() -> None:

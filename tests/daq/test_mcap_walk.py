@@ -421,6 +421,8 @@ def test_a_summary_may_be_longer_than_one_read(tmp_path: Path) -> None:
         (channel(1, "a") + INDEX + statistics(2, {1: 2}, 2), "index everything"),
         (channel(1, "a") + INDEX + PLACES + statistics(2, {1: 2}, 1), "index everything"),
         (channel(1, "a") + INDEX + KEPT + statistics(2, {1: 2}, 1), "index everything"),
+        (channel(1, "a") + INDEX + statistics(2, {1: 2}, 1, facts=1), "index everything"),
+        (channel(1, "a") + INDEX + statistics(2, {1: 2}, 1, attachments=1), "index everything"),
         (channel(1, "a"), "without statistics"),
         (channel(1, "a") + INDEX + INDEX + statistics(4, {1: 4}, 2), "contradicts itself"),
         (channel(1, "a") + index(len(BODY) - 13 - 47, 1, 2, 99) + statistics(2, {1: 2}, 1), "points beyond the data"),
