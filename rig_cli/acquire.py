@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -70,19 +70,12 @@ def check(
         notify(f"warning: {warnings[-1]}")
     good = all(map(passed, devices.values()))
     if json:
-        verdicts = {
-            name: {
-                "verdict": "pass" if passed(checks) else "fail",
-                "checks": {what: found.facts() for what, found in checks.items()},
-            }
-            for name, checks in devices.items()
-        }
         print_json(
             {
                 "rig": loaded.name,
                 "verdict": "pass" if good else "fail",
                 "seconds": look.seconds,
-                "devices": verdicts,
+                "devices": {name: _verdict(checks) for name, checks in devices.items()},
                 "identities": session.identities,
                 "rates_Hz": rates,
                 "losses": look.losses,
@@ -92,6 +85,11 @@ def check(
     else:
         print_checks(devices, session.identities, look.seconds)
     return 0 if good and not session.rotor_warning else 3
+
+
+def _verdict(checks: Checks) -> dict[str, Any]:
+    facts = {what: found.facts() for what, found in checks.items()}
+    return {"verdict": "pass" if passed(checks) else "fail", "checks": facts}
 
 
 def _with_taps(session: Session, devices: dict[str, Checks]) -> dict[str, Checks]:
