@@ -38,6 +38,7 @@ from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
 _MAX_START_S = 3.0  # from the start of the streams to samples of every device, wall s
+_MAX_BUSY_S = 0.25  # longest wait of 3 ms on a busy host; a longer one is a stall (suspended, stopped), wall s
 _MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, rig s
 
 
@@ -550,7 +551,7 @@ class Session:
 
         Args:
             condition: is evaluated every 3 ms.
-            wall_s: timeout, wall s.
+            wall_s: timeout, wall s, without the time for which the host was stalled.
             what: description of the condition for the message.
 
         Raises:
@@ -561,7 +562,7 @@ class Session:
             self.check()
             if self.clock.wall_s() > deadline:
                 raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
-            self.clock.wait(0.003)
+            deadline += self._stalled_s()
 
     def wait_for_rest(self, wall_s: float) -> None:
         """Wait until the rotor is at rest.
@@ -579,6 +580,15 @@ class Session:
                 text = f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor"
                 raise DeviceError(text)
             self.clock.wait(0.003)
+
+    def _stalled_s(self) -> float:
+        """Wait 3 ms, and return the wall time by which a stalled host exceeded this, s; 0 for a host that is busy.
+
+        The devices' bytes waited as well, so that their time-outs would blame the devices.
+        """
+        before_s = self.clock.wall_s()
+        self.clock.wait(0.003)
+        return max(0.0, self.clock.wall_s() - before_s - _MAX_BUSY_S)
 
     def need(self, *topics: str) -> None:
         """Set the channels that the running test needs even at rest. Silence of one of them ends the test."""
