@@ -8,7 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, fit_line, lower_line, steps_from
+from daq.clock import (
+    _IN_ORDER_RULES,
+    _STEP_RULES,
+    AGE_RULES,
+    FIRST_RULES,
+    ClockMap,
+    ClockSeed,
+    Unwrap,
+    clock_rules,
+    fit_line,
+    lower_line,
+    steps_from,
+)
 from daq.errors import DeviceError
 
 MS = 1_000_000
@@ -123,6 +135,20 @@ def test_the_least_delayed_read_of_a_bin_counts() -> None:
     assert a.host_ns - a.device_ns == b.host_ns - b.device_ns == START_NS - DEVICE0_NS + MS
 
 
+def test_the_numbers_of_the_rules_are_those_of_recorded_logs() -> None:
+    assert (FIRST_RULES, _IN_ORDER_RULES, _STEP_RULES, AGE_RULES) == (1, 3, 4, 5)
+
+
+@pytest.mark.parametrize(("reads", "step_ms"), [(1, 0), (19, 0), (20, -10), (21, -10)])
+def test_an_early_read_is_a_step_back_only_after_twenty_reads(reads: int, step_ms: int) -> None:
+    """Before, the first reads may all have been late."""
+    clock = ClockMap(50.0)
+    for k in range(reads):
+        mapped(clock, 10.0 * k, 10.0)
+    mapped(clock, 10.0 * reads, 0.0)
+    assert clock.step_ns == step_ms * MS
+
+
 @pytest.mark.parametrize("late_ms", [40.0, 400.0])
 def test_a_sample_before_a_gap_is_mapped_as_without_the_gap(late_ms: float) -> None:
     """A correction is in progress: of 0.13 and 0.5 of the clock's rate."""
@@ -158,7 +184,7 @@ def seeded(early_ms: float, rate: float = 1e-4) -> tuple[float, float]:
         (0.0, 0.0, True),
         (999.0, 0.0, True),
         (1000.0, 1000.0, False),
-        (-4.9, -4.9, True),
+        (-4.999999, -4.999999, True),
         (-5.0, -5.0, False),
         (20.0, 0.0, True),
     ],
