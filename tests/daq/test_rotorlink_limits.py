@@ -282,6 +282,7 @@ def test_a_gap_has_its_samples_time_and_place() -> None:
         (10, 13_000, LOST, 3),
         (10, 13_000, 0, 0),
         (10, 13_000, 3 | LOST, 3),
+        (10, 13_000, 3, 0),
         (13, 15_000, LOST, 3),  # the index shows how many
         (5, 13_000, LOST, 0),
     ],
