@@ -230,8 +230,30 @@ def test_the_speed_of_a_plateau_is_that_of_its_last_quarter() -> None:
     assert plateau_start(times, phase, 0.0, 99.0) == times[-1]
     times, phase = spun(1 / 1.12, *[1 / 1.02] * 23, *[1.0] * 4)  # the last seven: 1, and the last eight 1.01
     assert plateau_start(times, phase, 0.0, 99.0) == 0.0
+    # the last one of seven: eight times the median deviation is 0.08, and of the last two 0.04
+    assert plateau_start(*spun(1 / 0.94, *[1.0] * 5, 1 / 1.01), 0.0, 99.0) == 0.0
     assert plateau_start(*spun(0.1, 0.1), 0.0, 0.25) == 0.0
     assert plateau_start(*spun(0.1, 0.1, 0.2), 0.0, 0.45) == 0.0  # the last one of three
+
+
+@pytest.mark.parametrize(
+    ("ago_s", "found"), [(0.4, False), (0.5, True), (1.0, True), (1.5, True), (2.0, True), (2.5, True), (3.0, False)]
+)
+def test_an_orbit_that_was_steady_a_moment_ago_is_steady(
+    monkeypatch: pytest.MonkeyPatch, ago_s: float, found: bool
+) -> None:
+    """With twice the tolerance it still is."""
+    run, end_s = before_release(0.0, 180.0), 10.0
+    times, phase = spun(*[0.1] * 101)
+    judged = Settling(False, False, "moves", 0.0, 1.0, 0.0, 1.0, span_s=9.0)
+
+    def at_one_time(signals: RotorSignals, limits: SettlingLimits, **more: object) -> Settling:
+        then = abs(float(signals.mark_time_s[-1]) - (end_s - ago_s)) < 0.01
+        return replace(judged, settled=limits.slack > 1 or then)
+
+    monkeypatch.setattr("analysis.steady_state.settled", at_one_time)
+    run = replace(run, mark_time_s=times, mark_phase_rad=phase)
+    assert _settling(run, RELEASE_S, end_s + 1e-6, free=False).settled is found
 
 
 def before_release(a_deg: float, b_deg: float, at: tuple[float, float] = (0.0, 0.0), moved_deg: float = 0.0) -> Run:
