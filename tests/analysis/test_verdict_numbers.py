@@ -547,6 +547,7 @@ def test_verdict_of_pendulums_that_slip_or_were_not_locked() -> None:
     slipping = measurement(state="slipping")
     assert judged(slipping, prediction(), expected="slipping") == ("pass", "slipping as expected: the reason")
     assert judged(slipping, prediction()) == ("fail", "the reason; the model has a stable state II here")
+    assert judged(slipping, prediction(), expected=None)[0] == "fail"
     assert judged(slipping, None, "no stable state") == ("fail", "the reason; no stable state")
     loose = measurement(locked=False)
     words = "before release the pendulums stood at 11.5° and 171.9°, not locked at 0° and 180°"
@@ -572,7 +573,11 @@ def test_verdict_of_pendulums_that_move() -> None:
 
 def test_a_comparison_is_of_the_largest_absolute_score() -> None:
     table = {name: Score(z, 1.0, 0.1, 1.0, 0.1) for name, z in (("theta3", 1.0), ("theta4", -2.0))}
-    assert _compare(measurement(), prediction(), None, table)[1].endswith("largest: θ4, z = -2.0")
+    from_a_file = "".join(("I", "I"))  # equal to the measured state, and another object
+    for expected in (None, from_a_file):
+        verdict, why = _compare(measurement(), prediction(), expected, table)
+        assert verdict == "pass"
+        assert why.endswith("largest: θ4, z = -2.0")
 
 
 @dataclass(frozen=True)
