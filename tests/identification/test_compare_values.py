@@ -181,6 +181,12 @@ def test_the_blur_of_a_variance_is_that_of_the_deviation_squared(monkeypatch: py
         assert compare_parameters(old, new).dof == rank
 
 
+@pytest.mark.parametrize(("k1", "rounded"), [(26123456789.1, False), (2612345678.9, True)])
+def test_values_of_twelve_digits_are_not_rounded(k1: float, rounded: bool) -> None:
+    values = {"k1_N_per_m": k1, "zeta1": 0.02}
+    assert (compared(values, values, [0.0, 0.0]).dof > 0) is rounded
+
+
 @pytest.mark.parametrize(
     ("k1", "zeta1", "steps"),
     [

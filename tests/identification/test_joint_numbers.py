@@ -7,7 +7,7 @@ from dataclasses import FrozenInstanceError, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from identification.joint.agreement import (
     covariance_of_all,
     verdict,
 )
-from identification.joint.budget import ParameterBudgets, parameter_budgets
+from identification.joint.budget import ParameterBudgets, _disagreement, parameter_budgets
 from identification.joint.combine import JointEstimate, _widen, joint_estimate, reduced
 from identification.joint.limits import SOURCES, ParameterLimit, limits
 from identification.joint.provenance import KeptTest, kept_tests, model_share, rebuilt, with_tests
@@ -37,6 +37,7 @@ from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError
 from rig_configs.known import KnownSource
+from uncertainty import Group
 
 K1, K2 = "k1_N_per_m", "k2_N_per_m"
 GAIN_X = ErrorLabel("gain", "x")
@@ -494,6 +495,8 @@ def test_the_share_beyond_noise_is_that_of_the_worst_fit_of_the_test() -> None:
     assert share(fit(2.0)) == pytest.approx(0.5)
     assert share(fit(2.0, correlated)) == pytest.approx(1 - 1 / 16)
     assert share(fit(20.0, correlated)) == pytest.approx(1 - 1 / 20)
+    fitted = SimpleNamespace(chi2_per_dof=2.0, curves=[SimpleNamespace(measured=3 * correlated, fitted=3 * correlated)])
+    assert share(fitted) == pytest.approx(0.5)  # without residuals
     assert share(fit(4.0), fit(2.0)) == pytest.approx(0.75)
     assert share(fit(4.0), test="test-1") == share(fit(4.0), sources=("logs/01.mcap",)) == 0.0
 
@@ -624,6 +627,16 @@ def test_budget_of_a_disagreement_is_the_widening_alone() -> None:
     assert float(own.covariance[0, 0]) == pytest.approx(1.0)
     assert [s.name for s in found.sources] == ["own: test-0 (00.mcap)", "own: test-1 (01.mcap)", "disagreement"]
     assert found.covariance == pytest.approx(file.covariance)
+
+
+def test_a_disagreement_has_no_negative_variance_in_any_direction() -> None:
+    """Weighed errors that exceed the own ones by a matrix with the eigenvalues −1 and 3."""
+    added, got = np.array([[1.0, 2.0], [2.0, 1.0]]), list[Group]()
+    joint = SimpleNamespace(weighted=SimpleNamespace(own=np.eye(2) + added, names=(K1, K2)))
+    columns = SimpleNamespace(add=lambda group, weights: got.append(group))
+    _disagreement(cast("Any", joint), np.eye(2), np.ones(2), cast("Any", columns))
+    (group,) = got
+    assert np.linalg.eigvalsh(np.asarray(group.covariance)) == pytest.approx([0.0, 3.0], abs=1e-12)
 
 
 def test_a_test_that_was_left_out_has_no_row() -> None:

@@ -141,8 +141,9 @@ def test_an_amplitude_limit_must_be_below_a_sensor_s_reach() -> None:
     """A range of 25 mm is ± 12.5 mm about its middle: the limit itself must still be measured."""
     reach = min(sensor.reach_m for sensor in load_rig("virtual").roles.displacements)
     load_rig("virtual", settings={"limits.amplitude_m": math.nextafter(reach, 0)})
-    with pytest.raises(RigFileError, match=r"cannot be measured: laser_[xy] reaches"):
-        load_rig("virtual", settings={"limits.amplitude_m": reach})
+    for beyond in (reach, 2 * reach):
+        with pytest.raises(RigFileError, match=r"cannot be measured: laser_[xy] reaches"):
+            load_rig("virtual", settings={"limits.amplitude_m": beyond})
 
 
 @pytest.mark.parametrize("name", ["host", "log"])
