@@ -151,7 +151,7 @@ def test_an_identified_moment_needs_an_imbalance_mass_in_the_rig_file(tmp_path: 
         ("", "imbalance"),
         ("radius_m = 0.02", "imbalance.mass_kg: missing"),
         ('mass_kg = "x"', "mass_kg"),
-        ("mass_kg = -0.5\nradius_m = 0.02", "imbalance.mass_kg: expected greater than or equal to 0"),
+        ("mass_kg = -0.5\nradius_m = 0.02", "imbalance.mass_kg: Input should be greater than or equal to 0"),
     ):
         with pytest.raises(RigFileError, match=word):
             load_rig(without_imbalance(tmp_path, body), IDENTIFIED)
