@@ -101,6 +101,8 @@ def test_a_damaged_header_costs_the_header_alone(tmp_path: Path, begin: bytes) -
     found = walked(tmp_path, data)
     assert found.counts == {1: 2, 2: 1}
     assert found.missing[0].text.startswith("the header is damaged: ")
+    assert found.missing[0].byte_start == len(MAGIC)
+    assert found.missing[0].byte_end == len(MAGIC) + max(1, len(begin))  # also without a header the place is not empty
 
 
 def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: Path) -> None:
