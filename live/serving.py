@@ -53,6 +53,7 @@ class Serving:
             server_header=False,
             timeout_graceful_shutdown=1,
         )
+        config.load()  # its imports, in this thread: imports of both threads at once may block each other
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._serve, name="live page", daemon=True)
 

@@ -27,7 +27,8 @@ def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path:
         assert log.complete
         assert log.metadata["run"]["note"] == "two calls"
         assert json.loads(log.metadata["summary"]["ended"]) == "duration"
-    assert laser.time_s[-1] - laser.time_s[0] == pytest.approx(2.0, abs=0.3)
+    span_s = laser.time_s[-1] - laser.time_s[0]
+    assert 1.7 < span_s < 2.0 + 0.5 * TIME_SCALE  # a busy host ends up to half a second of wall time later
 
 
 def test_a_fault_during_the_recording_closes_the_log_with_its_reason(

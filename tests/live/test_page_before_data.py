@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterator
 from multiprocessing import Pipe
 
@@ -25,6 +26,25 @@ def watched() -> Iterator[Watched]:
     yield Watched(load_rig("virtual"), theirs, 1.0, "virtual")
     ours.close()
     theirs.close()
+
+
+def test_the_server_s_modules_are_imported_before_its_thread_starts(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The main thread goes on to import modules for Foxglove; two threads in the same packages may block each other."""
+    loaded: list[bool] = []
+    serving = Serving(watched, LiveModel(watched.signals.rig))
+
+    def started(thread: threading.Thread) -> None:
+        loaded.append(thread.name != "live page" or serving._server.config.loaded)
+        start(thread)
+
+    start = threading.Thread.start
+    monkeypatch.setattr(threading.Thread, "start", started)
+    with serving:
+        pass
+    assert loaded
+    assert all(loaded)
 
 
 def test_a_rig_that_opens_is_waited_for_and_not_stale(page: Page, watched: Watched) -> None:
