@@ -225,12 +225,12 @@ def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[
 
 def _announce(url: str, token: str, host: str, as_json: bool, notify: Callable[[str], None] = notify) -> None:
     """Report the page's address, with JSON output as its first line."""
-    address: Mapping[str, Any] = {"url": url, "token": token}
-    if as_json:
-        answer.announce(address)
-    notify(f"the live page: {url}")
     if host:
         notify(
             f"warning: --host {host}: all who reach this machine and have that address see the page and may press its "
             "stop; it is not encrypted, so the token can be read on the network"
         )
+    address: Mapping[str, Any] = {"url": url, "token": token}
+    if as_json:
+        answer.announce(address)
+    notify(f"the live page: {url}")
