@@ -24,7 +24,7 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 6
+FIRST_RULES, NEWEST_RULES = 1, 7
 _IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""

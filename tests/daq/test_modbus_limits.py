@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from daq.clock import NEWEST_RULES
 from daq.drivers.modbus_converter import wire
 from daq.items import Batch, DeviceEvent
 from tests.daq.test_modbus_wire import POLL, Line, frame, report, settings
@@ -210,7 +211,7 @@ def test_a_fault_is_one_event_with_its_code_however_long_it_lasts() -> None:
 
 def test_logs_of_rules_after_the_newest_known_are_decoded_by_these() -> None:
     given = {"table": "altivar"}
-    line = Line({"clock_rules": 7}, **given)
+    line = Line({"clock_rules": NEWEST_RULES + 1}, **given)
     for _ in range(2):
         for first, count in settings(**given).blocks:
             request = wire.encode(wire.Request(1, 3, first, count))
