@@ -168,7 +168,7 @@ def record(
         warnings = [*session.notices, *unheard, *([f"wrong rates: {rates}"] if rates else [])]
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
     else:
-        warned = f"; {len(session.notices)} warnings (above): the run is not clean" if session.notices else ""
+        warned = warning_words(len(session.notices), listen)
         notify(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}{warned}")
         for text in unheard:
             notify(f"warning: {text}")
@@ -177,6 +177,13 @@ def record(
         if slow_s:
             notify(f"warning: the disk was behind for {slow_s:.1f} s in all; no data were lost")
     return 3 if session.notices and not listen else 0  # without control of the rig its notices are no error here
+
+
+def warning_words(number: int, listen: bool) -> str:
+    """Return the last words of a recording: how many warnings it had, and what follows from them."""
+    if not number:
+        return ""
+    return f"; {number} warning{'s' * (number > 1)} (above)" + ("" if listen else ": the run is not clean")
 
 
 def _record_until(

@@ -9,6 +9,7 @@ from unittest.mock import patch
 
 import pytest
 
+from rig_cli.acquire import warning_words
 from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
 
@@ -39,4 +40,17 @@ def test_a_sensor_that_loses_power_at_rest_makes_the_run_not_clean(
     assert code == 3
     restarted = "laser_y: counter and timestamp do not continue: the sensor restarted. Its clock is not continuous"
     assert f"warning: {restarted}" in " ".join(err.split())
-    assert err.rstrip().endswith(" warnings (above): the run is not clean")
+    assert err.rstrip().endswith(" (above): the run is not clean")
+
+
+@pytest.mark.parametrize(
+    ("number", "listen", "words"),
+    [
+        (0, False, ""),
+        (1, False, "; 1 warning (above): the run is not clean"),
+        (2, False, "; 2 warnings (above): the run is not clean"),
+        (1, True, "; 1 warning (above)"),  # a program that only receives ends with 0
+    ],
+)
+def test_the_last_line_counts_the_warnings(number: int, listen: bool, words: str) -> None:
+    assert warning_words(number, listen) == words
