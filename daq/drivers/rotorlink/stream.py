@@ -12,6 +12,7 @@ from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
+from daq.drivers.rotorlink.node_choice import CHOICE_RULES, NodeChoice
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
 from daq.drivers.rotorlink.sequence import SequenceCounter
@@ -36,7 +37,6 @@ class NodePipeline:
         losses: see Pipeline.
         status: newest status of the node; None before the first.
         rssi_dBm: signal strength of the newest frame, dBm; None if unknown.
-        complaint: see DescribesItself.
         battery_low: whether the node reports a low battery.
         heard_frames: see CountsFrames.
 
@@ -48,7 +48,6 @@ class NodePipeline:
         self.losses: dict[str, int] = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.NodeStatus | None = None
         self.rssi_dBm: int | None = None
-        self.complaint: str = ""
         self.battery_low: bool = False
         self.heard_frames: tuple[int, int] | None = None
         self._device = device
@@ -64,8 +63,8 @@ class NodePipeline:
         self._last_dongle_us: int | None = None
         self._dongle = SenderClock()
         self._wrapped = False  # whether node frames arrive in frames of a dongle, which counts them
-        self._node = _node_of(identity) if config.node is None else config.node
-        self._others = set[int]()
+        self._choice = NodeChoice(device, config.node, _node_of(identity), self._rules)
+        self._contradiction = ""  # between the node's status and the rig file
         self._restart()
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
 
@@ -82,7 +81,12 @@ class NodePipeline:
     @property
     def learned(self) -> dict[str, int]:
         """See ObservesIdentity."""
-        return {} if self._node is None else {"node": self._node}
+        return {} if self._choice.node is None else {"node": self._choice.node}
+
+    @property
+    def complaint(self) -> str:
+        """See DescribesItself."""
+        return self._choice.complaint or self._contradiction
 
     def _restart(self) -> None:
         self._air = SequenceCounter()
@@ -161,10 +165,11 @@ class NodePipeline:
         return 0.0 if last is None else _seconds(last, dongle_us)
 
     def _count(self, what: str, lost: int, span_s: float, out: list[Batch | DeviceEvent]) -> None:
-        """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s."""
+        """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s; 0: unknown."""
         if lost:
             self.losses[what] += lost
-            text = f"{lost} {what.replace('_', ' ')} lost within {span_s * 1e3:.0f} ms"
+            within = f" within {span_s * 1e3:.0f} ms" if span_s or self._rules < CHOICE_RULES else ""
+            text = f"{lost} {what.replace('_', ' ')} lost{within}"
             out.append(DeviceEvent("gap", self._device, text, {what: lost, "span_s": span_s}))
 
     def _node_frame(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
@@ -229,11 +234,11 @@ class NodePipeline:
         self.status = frame
         out: list[DeviceEvent] = []
         if frame.counts_per_revolution != self._counts_per_revolution:
-            self.complaint = (
+            self._contradiction = (
                 f"the node reports {frame.counts_per_revolution} counts per revolution, the rig file states "
                 f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
             )
-            out.append(DeviceEvent("fault", self._device, self.complaint))
+            out.append(DeviceEvent("fault", self._device, self._contradiction))
         facts = {
             "battery_mv": frame.battery_mv,
             "frames_sent": frame.frames_sent,
@@ -271,18 +276,13 @@ class NodePipeline:
         return lost, repeated, False
 
     def _is_ours(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, out: list[Batch | DeviceEvent]) -> bool:
-        """Whether a frame is of this rig's node: that of the rig file, or the first one received."""
-        if self._node is None:
-            self._node = frame.node
-            if frame.node != 1:  # NodeLocks assumes 1
-                out.append(
-                    DeviceEvent("acknowledge", self._device, f"the node's number is {frame.node}", {"node": frame.node})
-                )
-        if frame.node != self._node and frame.node not in self._others:
-            self._others.add(frame.node)
-            text = f"frames of node {frame.node} ignored: this rig's is node {self._node}"
-            out.append(DeviceEvent("foreign", self._device, text, {"node": frame.node}))
-        return frame.node == self._node
+        """Whether a frame is of this rig's node."""
+        before = self._choice.node
+        out += self._choice.feed(frame)
+        if before is not None and before != self._choice.node:  # what was counted was another node's
+            self.losses["radio_frames"], self.status, self.heard_frames, self._contradiction = 0, None, None, ""
+            self._restart()
+        return frame.node == self._choice.node
 
     def _index(self, first: int) -> int:
         """Return the unwrapped index of a sample, whose index on the wire wraps at 2**32."""
