@@ -180,7 +180,9 @@ class VescControl(RepeatedCommand):
         Firmware without a status byte only shows the absence of a fault.
         """
         report = self._report
-        return report is not None and self._ordered_ns < self._report_ns and not report.fault and not report.status
+        if report is None or not self._ordered_ns < self._report_ns or report.fault:
+            return False
+        return not (report.status or 0) & wire.OBSTACLES
 
     def _disobeys(self) -> str:
         report = self._recent()
@@ -226,11 +228,23 @@ class VescControl(RepeatedCommand):
             self._send(self._commands.release() + self._commands.get_values())
         return lambda: self._answers >= due
 
+    def _speed_words(self) -> str:
+        """Return the reported speed and what to do about it, if it is larger than that of a standing rotor."""
+        rpm, most = self.actual_rpm, self._settings.rest_rpm
+        if not abs(rpm) > most:  # also without a recent report
+            return ""
+        return (
+            f" and reports {rpm:.1f} rpm, a standing rotor at most {most:g} rpm (rest_rpm). If it stands, the reading "
+            "is noise: raise rest_rpm. If it turns without a command, another input commands the motor"
+        )
+
     def measure_time_out(self) -> TimeOut:
         """See MeasuresTimeOut: release once, and wait until the status byte shows the expired timeout."""
         report, s = self._recent(), self._settings
         if report is None or report.fault or self.mode is not Mode.NOTHING or not self._guarded.at_rest():
-            raise DeviceError(f"the rotor must stand without a command and without a fault, it is in {self.state}")
+            raise DeviceError(
+                f"the rotor must stand without a command and without a fault, it is in {self.state}{self._speed_words()}"
+            )
         if report.status is None:
             raise DeviceError("firmware before 5.3 does not report an expired timeout: measure it with a turning rotor")
         with self._sending:
