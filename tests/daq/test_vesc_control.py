@@ -506,6 +506,29 @@ def test_after_an_earlier_session_the_timeout_is_awaited_before_a_speed(bench: B
     assert bench.clock.rig_s - began_s < 0.2, "once is enough"
 
 
+class NoisyBench(Bench):
+    """A standing rotor whose reading is noise beyond `rest_rpm`."""
+
+    def _at_rest(self) -> bool | None:
+        return False
+
+
+@pytest.mark.parametrize("timeout_s", [1.0, math.inf])
+def test_noise_of_a_standing_rotor_does_not_replace_the_proof_of_the_timeout(
+    on_rig_time: Callable[[Bench], Bench], timeout_s: float
+) -> None:
+    bench = on_rig_time(NoisyBench(timeout_s=timeout_s))
+    bench.send(wire.release())
+    bench.pass_time(0.3)
+    if timeout_s == 1.0:
+        bench.control.enable()
+        assert bench.control.enabled
+        return
+    with pytest.raises(DeviceError, match="its timeout has not expired although it received no command"):
+        bench.control.enable()
+    assert {command.what for _, command in bench.commands} == {wire.SET_CURRENT}
+
+
 def test_a_stop_while_the_timeout_is_awaited_wins(bench: Bench) -> None:
     bench.send(wire.release())
     bench.pass_time(0.1)
