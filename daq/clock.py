@@ -103,6 +103,7 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     From 7 on:
 
     - of several encoder nodes, the first one that sends samples is the rig's; a second one makes the choice doubtful.
+    - a braked rotor that does not slow down is a fault.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -317,7 +317,7 @@ def _time_out(found: TimeOut | str | None) -> Checks:
         return {"time_out_s": DeviceCheck(round(found.measured_s, 3), None, True, "the device states none")}
     most = _MAX_TIME_OUT_SHARE * found.stated_s + _MAX_TIME_OUT_S + found.resolution_s
     ok = abs(found.measured_s - found.stated_s) <= most
-    note = "" if ok else "not what the drive states: it acts on another setting; look it up in its manual"
+    note = "" if ok else "another time acts: compare the rig file with the drive's own settings and its manual"
     return {"time_out_s": DeviceCheck(round(found.measured_s, 3), f"{found.stated_s:.3g} ± {most:.2g}", ok, note)}
 
 

@@ -1,10 +1,13 @@
-"""Detection of a rotor that does not follow the set-point of its controller."""
+"""Detection of a rotor that does not follow the set-point of its controller, or does not slow down when braked."""
 
 from __future__ import annotations
+
+import math
 
 from daq.items import DeviceEvent
 
 _MAX_DEVIATION = (0.2, 30.0)  # relative and absolute (rpm) deviation from the set-point of a rotor that follows
+_SLOWER_RPM = 1.0  # least decrease of the speed of a rotor that slows down
 
 
 class Following:
@@ -38,3 +41,39 @@ class Following:
             "Look at the controller's limits of current and speed, at its own timeout, at whether it may brake"
         )
         return [DeviceEvent("fault", self._device, text, {"target_rpm": target_rpm, "speed_rpm": actual_rpm})]
+
+
+class SlowingDown:
+    """Counter of consecutive reports of a rotor that is braked and does not become slower.
+
+    Args:
+        device: name of the device in the rig file.
+        max_reports: number of reports in a row, none of them slower than those before, after which it is a fault.
+    """
+
+    def __init__(self, device: str, max_reports: int) -> None:
+        self._device, self._max_reports = device, max(3, max_reports)
+        self._least_rpm = math.inf
+        self._reports = 0
+
+    def check(self, braked: bool, actual_rpm: float) -> list[DeviceEvent]:
+        """Return a fault if the rotor does not slow down, once until it does.
+
+        Args:
+            braked: whether the controller is commanded to brake.
+            actual_rpm: reported speed.
+        """
+        speed_rpm = abs(actual_rpm)
+        if not braked or speed_rpm <= _MAX_DEVIATION[1]:
+            self._least_rpm, self._reports = math.inf, 0
+        elif speed_rpm < self._least_rpm - _SLOWER_RPM:
+            self._least_rpm, self._reports = speed_rpm, 0
+        else:
+            self._reports += 1
+        if self._reports != self._max_reports:
+            return []
+        text = (
+            f"the rotor does not slow down: commanded to brake, it turns at {actual_rpm:.0f} rpm. "
+            "Look at the brake current, and at whether another input commands the motor"
+        )
+        return [DeviceEvent("fault", self._device, text, {"target_rpm": 0.0, "speed_rpm": actual_rpm})]

@@ -469,6 +469,27 @@ def test_what_cannot_show_its_timeout_is_not_measured(on_rig_time: Callable[[Ben
         time_out(turning)
 
 
+def test_a_noisy_reading_of_a_standing_rotor_is_named(on_rig_time: Callable[[Bench], Bench]) -> None:
+    """Without a sensor the speed of a standing rotor is noise, and beyond `rest_rpm` nothing shows that it stands."""
+    bench = on_rig_time(Bench())
+    bench.pass_time(0.3)
+    bench.pipeline.answers = [wire.Values(erpm=-28, status=wire.TIMED_OUT)]
+    bench.control.notice(bench.pipeline)
+    with pytest.raises(DeviceError, match=r"reports -4\.0 rpm, a standing rotor at most 1 rpm \(rest_rpm\)"):
+        time_out(bench)
+
+
+@pytest.mark.parametrize(("status", "obeys"), [(0x00, True), (0xF0, True), (0x01, False), (0x02, False), (0xF1, False)])
+def test_unknown_bits_of_the_status_byte_are_no_obstacle(status: int, obeys: bool) -> None:
+    bench = Bench()
+    control = bench.control
+    assert isinstance(control, VescControl)
+    bench.clock.rig_s += 1.0
+    bench.pipeline.answers = [wire.Values(status=status)]
+    control.notice(bench.pipeline)
+    assert control._obeys() is obeys
+
+
 def test_after_an_earlier_session_the_timeout_is_awaited_before_a_speed(bench: Bench) -> None:
     """A controller that was commanded a moment ago has not shown yet that it stops by itself."""
     bench.send(wire.release())
@@ -483,6 +504,29 @@ def test_after_an_earlier_session_the_timeout_is_awaited_before_a_speed(bench: B
     began_s = bench.clock.rig_s
     bench.control.enable()
     assert bench.clock.rig_s - began_s < 0.2, "once is enough"
+
+
+class NoisyBench(Bench):
+    """A standing rotor whose reading is noise beyond `rest_rpm`."""
+
+    def _at_rest(self) -> bool | None:
+        return False
+
+
+@pytest.mark.parametrize("timeout_s", [1.0, math.inf])
+def test_noise_of_a_standing_rotor_does_not_replace_the_proof_of_the_timeout(
+    on_rig_time: Callable[[Bench], Bench], timeout_s: float
+) -> None:
+    bench = on_rig_time(NoisyBench(timeout_s=timeout_s))
+    bench.send(wire.release())
+    bench.pass_time(0.3)
+    if timeout_s == 1.0:
+        bench.control.enable()
+        assert bench.control.enabled
+        return
+    with pytest.raises(DeviceError, match="its timeout has not expired although it received no command"):
+        bench.control.enable()
+    assert {command.what for _, command in bench.commands} == {wire.SET_CURRENT}
 
 
 def test_a_stop_while_the_timeout_is_awaited_wins(bench: Bench) -> None:
@@ -775,6 +819,16 @@ def test_the_far_end_is_identified() -> None:
 def test_firmware_of_another_layout_is_refused() -> None:
     with pytest.raises(DeviceError, match=r"firmware 2\.18"):
         identify("drive", SETTINGS, Talk([wire.pack_firmware(wire.Firmware(2, 18, "48", "00" * 12))]), QUERY, "")
+
+
+def test_old_firmware_that_states_only_its_version_is_named() -> None:
+    with pytest.raises(DeviceError, match=r"firmware 2\.18 answers in an unknown layout"):
+        identify("drive", SETTINGS, Talk([bytes([wire.FIRMWARE_VERSION, 2, 18])]), QUERY, "")
+
+
+def test_firmware_without_a_name_of_its_hardware_is_used() -> None:
+    found = identify("drive", SETTINGS, Talk([bytes([wire.FIRMWARE_VERSION, 3, 40])]), QUERY, "")
+    assert (found["firmware"], found["hardware"], found["serial"]) == ("3.40", "not stated", "")
 
 
 def test_one_that_is_silent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from typing import Protocol
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.repeated_command import ANSWER_S, RESTARTED, UNKNOWN, Mode, RepeatedCommand
 from daq.drivers.vesc import stream, wire
-from daq.drivers.vesc.settings import VescMotor
+from daq.drivers.vesc.settings import MOST_REST_RPM, VescMotor
 from daq.drivers.vesc.stream import VescPipeline
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
@@ -152,9 +152,13 @@ class VescControl(RepeatedCommand):
     def _is_proven(self, report: wire.Values) -> bool:
         """Return whether the timeout is proven, or cannot be proven. Until then a standing rotor gets no command.
 
-        It cannot be proven with firmware that does not report it, and while the rotor turns.
+        It cannot be proven with firmware that does not report it, and while the rotor turns so fast that it must be
+        slowed down first. A lower reading may be the noise of a standing rotor.
         """
-        if self._expired or report.status is None or not self._guarded.at_rest():
+        if self._expired or report.status is None:
+            return True
+        turns = abs(self.actual_rpm) >= max(self._settings.min_rpm, MOST_REST_RPM)
+        if turns and not self._guarded.at_rest():
             return True
         with self._deciding:
             if self._stops != self._enable_stops:
@@ -180,7 +184,9 @@ class VescControl(RepeatedCommand):
         Firmware without a status byte only shows the absence of a fault.
         """
         report = self._report
-        return report is not None and self._ordered_ns < self._report_ns and not report.fault and not report.status
+        if report is None or not self._ordered_ns < self._report_ns or report.fault:
+            return False
+        return not (report.status or 0) & wire.OBSTACLES
 
     def _disobeys(self) -> str:
         report = self._recent()
@@ -226,11 +232,24 @@ class VescControl(RepeatedCommand):
             self._send(self._commands.release() + self._commands.get_values())
         return lambda: self._answers >= due
 
+    def _speed_words(self) -> str:
+        """Return the reported speed and what to do about it, if it is larger than that of a standing rotor."""
+        rpm, most = self.actual_rpm, self._settings.rest_rpm
+        if not abs(rpm) > most:  # also without a recent report
+            return ""
+        return (
+            f" and reports {rpm:.1f} rpm, a standing rotor at most {most:g} rpm (rest_rpm). If it stands, the reading "
+            "is noise: raise rest_rpm. If it turns without a command, another input commands the motor"
+        )
+
     def measure_time_out(self) -> TimeOut:
         """See MeasuresTimeOut: release once, and wait until the status byte shows the expired timeout."""
         report, s = self._recent(), self._settings
         if report is None or report.fault or self.mode is not Mode.NOTHING or not self._guarded.at_rest():
-            raise DeviceError(f"the rotor must stand without a command and without a fault, it is in {self.state}")
+            raise DeviceError(
+                f"the rotor must stand without a command and without a fault, it is in {self.state}"
+                + self._speed_words()
+            )
         if report.status is None:
             raise DeviceError("firmware before 5.3 does not report an expired timeout: measure it with a turning rotor")
         with self._sending:

@@ -68,10 +68,10 @@ def _answer(talk: Talk, heard: list[str]) -> wire.Firmware | None:
         except queue.Empty:  # usual: no answer in time
             return None
         try:
-            firmware = wire.parse_firmware(bytes.fromhex(reply))
+            payload = bytes.fromhex(reply)
         except ValueError:  # usual: words
             heard.append(reply)
             continue
-        if firmware is not None:
+        if (firmware := wire.parse_identity(payload)) is not None:
             return firmware
     return None

@@ -30,7 +30,7 @@ def identity_turns(settings: Vesc) -> IdentityTurns:
 
 def _firmware(data: bytes) -> wire.Firmware | None:
     payloads = PacketDecoder().feed(data).payloads
-    return next((found for payload in payloads if (found := wire.parse_firmware(payload)) is not None), None)
+    return next((found for payload in payloads if (found := wire.parse_identity(payload)) is not None), None)
 
 
 def announced(data: bytes, sender: str) -> NetworkDevice | None:

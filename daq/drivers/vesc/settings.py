@@ -14,6 +14,8 @@ _POLL_BYTES = 6 + 80  # a poll and its answer with every field, framed
 _COMMAND_BYTES = 10
 _MAX_LINE_SHARE = 0.8  # share of the line's capacity that polls and commands may use in one direction
 _MIN_COMMANDS_IN_TIMEOUT = 4
+MOST_REST_RPM = 10.0
+"""Largest reading that a rig file may count as rest, rpm."""
 
 
 class VescMotor(DeviceSettings):
@@ -45,7 +47,7 @@ class VescMotor(DeviceSettings):
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     brake_A: Annotated[float, Field(gt=0, le=200)]
     min_erpm: Annotated[float, Field(ge=0, le=20_000)] = 900.0
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
+    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=MOST_REST_RPM)] = AT_REST_RPM
     follow_s: Positive = 3.0
 
     def roles(self, device: str) -> tuple[Role, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import channels
 from daq.clock import NEWEST_RULES
-from daq.drivers.following import Following
+from daq.drivers.following import Following, SlowingDown
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import VescMotor
 from daq.items import TX, Batch, DeviceEvent
@@ -20,6 +20,8 @@ STATUS_KNOWN = 1 << 24
 EVENT_RULES = 6
 """Rules of a log (`daq.clock.clock_rules`) from which on these are events: late answers; on a CAN bus the start of a
 controller, missing status messages, each command of another node. Older logs decode to the same events as before."""
+BRAKE_RULES = 7
+"""Rules of a log from which on a braked rotor that does not slow down is a fault."""
 
 _COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
 _JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
@@ -122,7 +124,9 @@ class VescPipeline:
         self._early = 0  # answers that may still arrive to a poll before a release
         self._last: wire.Values | None = None
         self._word: int | None = None
-        self._following = Following(device, round(settings.follow_s * settings.report_Hz))
+        max_reports = round(settings.follow_s * settings.report_Hz)
+        self._following = Following(device, max_reports)
+        self._slowing = SlowingDown(device, max_reports) if rules >= BRAKE_RULES else None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -192,6 +196,8 @@ class VescPipeline:
         word = statusword(values, self._command)
         actual_rpm = values.erpm / self._pole_pairs
         out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
+        if self._slowing is not None:
+            out += self._slowing.check(self._command == BRAKE, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
         words.append(word)

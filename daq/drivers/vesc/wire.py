@@ -17,6 +17,8 @@ SET_CURRENT, SET_BRAKE, SET_RPM, ALIVE = 6, 7, 8, 30
 
 TIMED_OUT, KILL_SWITCH = 0x01, 0x02
 """Bits of a controller's status byte: the timeout has released the motor; the kill switch is open."""
+OBSTACLES = TIMED_OUT | KILL_SWITCH
+"""Bits that show that a command is not carried out. The meaning of the others is unknown: they are no obstacle."""
 
 _NUMBER = struct.Struct(">Bi")
 _VALUES = struct.Struct(">hhiiiihihiiiiiiB")  # after the command byte, up to the fault code
@@ -200,6 +202,16 @@ def parse_firmware(payload: bytes) -> Firmware | None:
     end = payload.index(0, 3)
     name = "".join(chr(byte) if 0x20 <= byte < 0x7F else "?" for byte in payload[3:end])
     return Firmware(payload[1], payload[2], name, payload[end + 1 : end + 13].hex())
+
+
+def parse_identity(payload: bytes) -> Firmware | None:
+    """Parse the answer to FIRMWARE_VERSION, also from old firmware that states only its version.
+
+    Logs are decoded with `parse_firmware`, so that the facts of their replies stay the same.
+    """
+    if len(payload) < 3 or payload[0] != FIRMWARE_VERSION:
+        return None
+    return parse_firmware(payload) or Firmware(payload[1], payload[2], "not stated", "")
 
 
 def pack_firmware(firmware: Firmware) -> bytes:
