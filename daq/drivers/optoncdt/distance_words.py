@@ -69,10 +69,19 @@ USUAL_SCALING = "ILD1420"
 """Scaling for logs that do not contain one."""
 
 
+SHORT_TIMESTAMP = frozenset({"2300"})
+"""Models that send 18 bits of a timestamp in steps of 256 µs on their serial line. Source: ILD2300 manual, RS422."""
+
+
+def model_of(name: str) -> str:
+    """Return the number of the model in a sensor's name, like ``ILD1420-25``; empty without one."""
+    found = re.search(r"(?<!\d)\d{4}(?!\d)", name)
+    return found[0] if found else ""
+
+
 def scaling_of(name: str) -> str | None:
     """Return the key in `SCALINGS` for a sensor's name, like ``ILD1420-25``; None if its model is unknown."""
-    model = re.search(r"(?<!\d)\d{4}(?!\d)", name)
-    return next((key for key, scaling in SCALINGS.items() if model and model[0] in scaling.models), None)
+    return next((key for key, scaling in SCALINGS.items() if model_of(name) in scaling.models), None)
 
 
 def metres(code: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.float64]:

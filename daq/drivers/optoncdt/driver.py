@@ -29,6 +29,7 @@ class OptoNcdt(DisplacementDriver):
     claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
     usual: tuple[Mapping[str, Any], ...] = (
         {},
+        {"baud": 691_200},
         {"baud": 115_200},
         {"baud": 230_400},
         {"baud": 460_800},
