@@ -124,6 +124,11 @@ def test_an_answer_to_an_earlier_command_is_not_taken_for_that_to_this_one(monke
     assert "warning" not in identity
 
 
+def test_a_line_that_ends_like_an_acknowledgement_is_part_of_its_answer() -> None:
+    info = "Name: ILD1420-25\r\nSerial: 12345678\r\nMeasuring range: 25.00mm\r\nSelf test: ok"
+    assert HandMadeLaser(answers={"GETINFO": info}).set_up()["serial"] == "12345678"
+
+
 def test_an_echo_before_a_refusal_does_not_hide_it() -> None:
     sensor = HandMadeLaser(answers={"MEASRATE": "MEASRATE\r\nE208 Out of range"})
     with pytest.raises(DeviceError, match="'MEASRATE 4' refused: E208"):

@@ -91,19 +91,13 @@ def _is_refusal(line: str) -> bool:
     return _REFUSAL.match(line) is not None
 
 
-def _is_of_another(lines: Sequence[str], text: str) -> bool:
-    """Whether the lines of an answer acknowledge another command: the answer of a slow sensor to an earlier one."""
-    name = text.split(maxsplit=1)[0]
-    found = [match[1].upper() for line in lines if (match := _ACKNOWLEDGED.fullmatch(line))]
-    return bool(found) and name not in found
-
-
 class _Dialogue:
     """Commands and their answers."""
 
     def __init__(self, device: str, config: Laser, talk: Talk) -> None:
         self._device, self._config, self._talk = device, config, talk
         self._answered = False
+        self._sent = {"OUTPUT"}  # names of the commands so far
 
     def command(self, text: str, *, may_lack: bool = False, repeat: bool = True) -> list[str]:
         """Send a command and return the lines of the answer.
@@ -159,11 +153,18 @@ class _Dialogue:
                 break
             if line != sensor_answers.PROMPT:
                 lines.append(line)
-            elif _is_of_another(lines, text):
+            elif self._is_of_another(lines, text):
                 lines = []
             else:
                 return lines
         return None
+
+    def _is_of_another(self, lines: Sequence[str], text: str) -> bool:
+        """Whether the lines acknowledge another command: they are the answer of a slow sensor to an earlier one."""
+        name = text.split(maxsplit=1)[0]
+        self._sent.add(name)
+        found = {match[1].upper() for line in lines if (match := _ACKNOWLEDGED.fullmatch(line))} & self._sent
+        return bool(found) and name not in found
 
     def _drop_answers(self, quiet_s: float) -> None:
         """Remove answers until none has arrived for some wall seconds, or some more have passed."""
@@ -235,10 +236,10 @@ def _check_timestamp(device: str, config: Laser, info: sensor_answers.SensorInfo
     """
     if distance_words.model_of(info["name"]) in distance_words.SHORT_TIMESTAMP and not config.words:
         raise DeviceError(
-            f"{device}: {info['name']} (serial {info['serial']}) is an ILD2300. Expected a timestamp of two values in "
-            "steps of 10 µs; on its serial line it is one value in steps of 256 µs, which gives no times of samples. "
-            "Connect it by Ethernet and use the driver optoncdt_ethernet. If its firmware sends two values, low half "
-            f"first, set devices.{device}.words, in stream order"
+            f"{device}: expected a timestamp of two values in steps of 10 µs; {info['name']} (serial {info['serial']}) "
+            "sends one value in steps of 256 µs on its serial line, which gives no times of samples. Connect it by "
+            "Ethernet and use the driver optoncdt_ethernet. If its firmware sends two values, low half first, set "
+            f"devices.{device}.words, in stream order"
         )
 
 
