@@ -102,7 +102,9 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     From 7 on:
 
-    - results of an RF60x that wait because they are late have their loss before them when the host sends a command.
+    - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
+      loss before them when it stops or starts the stream;
+    - bytes of an optoNCDT sensor that never gave a block are counted.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -189,6 +189,19 @@ def test_what_the_host_sends_after_two_late_reads_leaves_their_loss(rules: int) 
     assert abs(int(batch.time_ns[0]) - START_NS - 6000 * MS) <= MS
 
 
+def test_a_request_of_the_set_up_does_not_end_the_wait() -> None:
+    """The cable is back while the sensor is asked for its identity: one read has come, and the stream goes on."""
+    pipe = after_3_s()
+    assert read(pipe, [*range(6000, 6020)], 0) == []
+    for code in (wire.IDENTIFY, wire.READ, wire.WRITE):
+        assert pipe.feed(TX, wire.request(1, code, b"\x08"), START_NS + 6020 * MS) == []
+    found = [read(pipe, [*range(6020 + 20 * i, 6040 + 20 * i)], 0) for i in range(13)]
+    items = [item for each in found for item in each if not isinstance(item, DeviceEvent) or item.kind == "gap"]
+    (gap,) = events(items)
+    assert gap.facts["samples"] == pipe.losses["samples"] == 3000
+    assert counters(items) == [*range(6000, 6280)]
+
+
 @pytest.mark.parametrize("lost", [8, 20])
 def test_a_loss_found_late_is_that_of_the_first_gap_only(lost: int) -> None:
     """Results are lost at 3000, found after three quarters of a second, in a read with a gap of 2 more."""

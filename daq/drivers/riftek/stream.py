@@ -9,7 +9,7 @@ accuracy of a loss count depends on the loss:
   number that fits modulo 4, if it is possible by the host's time.
 - More are missing, and their bytes did not arrive. The count is estimated from the host's time
   (`daq.drivers.riftek.read_lags`). A read that is late by more than `ReadLags.far_ns` is held until the host has caught
-  up or its delay has persisted: for 0.25 s, or for two reads before a command of the host. Its samples are returned
+  up or its delay has persisted: for 0.25 s, or for two reads before the stream is stopped or started. Its samples are returned
   late and have correct times. A smaller loss is found up to 1 s later; the samples until then have times that are early
   by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the guard is
   never found.
@@ -45,7 +45,7 @@ NOT_NEW = 0x2
 _NO_READING = 0x3FFFF  # code for the spike detector: above any reading
 _WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
 _MAX_WAIT_ROWS = 65_536  # results that may wait
-_LOSS_AT_COMMAND_RULES = 7  # first rules by which a command of the host ends a wait as the end of the log does
+_LOSS_AT_COMMAND_RULES = 7  # first rules by which only a stop or start of the stream ends a wait, as the log's end does
 
 Items = list[Batch | DeviceEvent]
 
@@ -153,7 +153,7 @@ class RiftekPipeline:
             self._decoder.expect(wire.awaited(data))
             self._rate.sent(data)
             if self._rules >= _LOSS_AT_COMMAND_RULES:
-                return self._ended(host_ns)
+                return self._ended(host_ns) if wire.codes_of(data) & {wire.START, wire.STOP} else []
             return self._release(0, host_ns) if self._waiting is not None else []
         if not data:
             return self._ended(host_ns)
