@@ -9,10 +9,10 @@ accuracy of a loss count depends on the loss:
   number that fits modulo 4, if it is possible by the host's time.
 - More are missing, and their bytes did not arrive. The count is estimated from the host's time
   (`daq.drivers.riftek.read_lags`). A read that is late by more than `ReadLags.far_ns` is held until the host has caught
-  up or its delay has persisted: for 0.25 s, or for two reads before the stream is stopped or started. Its samples are returned
-  late and have correct times. A smaller loss is found up to 1 s later; the samples until then have times that are early
-  by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the guard is
-  never found.
+  up or its delay has persisted: for 0.25 s, or for two reads before the stream is stopped or started. Its samples are
+  returned late and have correct times. A smaller loss is found up to 1 s later; the samples until then have times that
+  are early by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the
+  guard is never found.
 
 A sensor that was switched off and on gives a gap like any other, because the line does not show the difference.
 """
