@@ -31,6 +31,15 @@ ERROR_CODES = {
 }
 """Distance words that are error codes, and their meaning (18 bits; never mask them to 16 bits before the test)."""
 
+REMEDIES = {
+    262075: "set a lower rate or a higher baud rate",
+    262077: "move the target away from the sensor",
+    262078: "move the target towards the sensor",
+    262081: "reduce the reflected light",
+    262082: "switch the laser on: LASERPOW FULL, its web page, or its input",
+}
+"""What to do about error codes whose cause is known."""
+
 _NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 
 
