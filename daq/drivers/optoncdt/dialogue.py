@@ -128,6 +128,7 @@ class _Dialogue:
 
     def _ask(self, text: str, *, repeat: bool = True) -> tuple[list[str] | None, str]:
         """Return the lines of the answer, None without an answer, and the refusal among them; empty without one."""
+        self._sent.add(text.split(maxsplit=1)[0])
         for attempt, wait_s in enumerate(_ANSWER_S if repeat else _ANSWER_S[:1]):
             if attempt == 0:
                 self._drop_answers(0.0)
@@ -162,7 +163,6 @@ class _Dialogue:
     def _is_of_another(self, lines: Sequence[str], text: str) -> bool:
         """Whether the lines acknowledge another command: they are the answer of a slow sensor to an earlier one."""
         name = text.split(maxsplit=1)[0]
-        self._sent.add(name)
         found = {match[1].upper() for line in lines if (match := _ACKNOWLEDGED.fullmatch(line))} & self._sent
         return bool(found) and name not in found
 
