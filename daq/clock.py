@@ -104,6 +104,9 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     - of several encoder nodes, the first one that sends samples is the rig's; a second one makes the choice doubtful.
     - a braked rotor that does not slow down is a fault.
+    - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
+      loss before them when it stops or starts the stream;
+    - bytes of an optoNCDT sensor that never gave a block are counted.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -40,4 +40,7 @@ def test_a_check_states_why_a_laser_measures_nothing() -> None:
     found = checked(prepare=switch_off)
     assert "laser_x invalid_samples" in failed(found)
     assert found["laser_x"]["error_code"].value == "262082: laser is off"
+    assert found["laser_x"]["error_code"].note.endswith(
+        " samples: switch the laser on: LASERPOW FULL, its web page, or its input"
+    )
     assert "error_code" not in found["laser_y"]

@@ -142,7 +142,6 @@ def test_a_lone_jump_is_marked_above_the_1420s_words_too() -> None:
         ("ILD1320-100", "ILD1420"),
         ("ILD1420", "ILD1420"),
         ("ild 1420-500 CL1", "ILD1420"),
-        ("ILD2300-20LL", "ILD1420"),
         ("ILD1750-25", "ILD1900"),
         ("optoNCDT 1900", "ILD1900"),
         ("ILD1900-2", "ILD1900"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 
 import pytest
 
@@ -102,6 +103,84 @@ def test_a_late_answer_is_not_taken_for_that_to_the_next_command(command: str) -
     assert sensor.set_up()["words"] == WORDS
 
 
+class SlowLaser(HandMadeLaser):
+    """A sensor that answers each command 40 ms late."""
+
+    def send(self, data: bytes) -> None:
+        before = self.replies.qsize()
+        super().send(data)
+        lines = [self.replies.get_nowait() for _ in range(self.replies.qsize())]
+        for line in lines[:before]:
+            self.replies.put(line)
+        threading.Timer(0.04, lambda: [self.replies.put(line) for line in lines[before:]]).start()
+
+
+def test_an_answer_to_an_earlier_command_is_not_taken_for_that_to_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answers to the commands that stop its stream arrive after the next commands have been sent."""
+    monkeypatch.setattr(dialogue, "_ANSWER_S", (0.5, 0.5))
+    monkeypatch.setattr("daq.drivers.stream_stop._QUIET_S", 0.001)
+    identity = SlowLaser().set_up()
+    assert (identity["serial"], identity["words"]) == ("12345678", WORDS)
+    assert "warning" not in identity
+
+
+def test_a_line_that_ends_like_an_acknowledgement_is_part_of_its_answer() -> None:
+    info = "Name: ILD1420-25\r\nSerial: 12345678\r\nMeasuring range: 25.00mm\r\nSelf test: ok"
+    assert HandMadeLaser(answers={"GETINFO": info}).set_up()["serial"] == "12345678"
+
+
+def test_an_echo_before_a_refusal_does_not_hide_it() -> None:
+    sensor = HandMadeLaser(answers={"MEASRATE": "MEASRATE\r\nE208 Out of range"})
+    with pytest.raises(DeviceError, match="'MEASRATE 4' refused: E208"):
+        sensor.set_up()
+
+
+def test_a_sensor_without_the_echo_command_is_accepted() -> None:
+    assert HandMadeLaser(answers={"ECHO": "E201 Unknown command"}).set_up()["words"] == WORDS
+
+
+@pytest.mark.parametrize(
+    ("command", "advice"),
+    [
+        ("MEASRATE", r"devices\.laser_x\.rate_Hz is 3000: set a rate of its model"),
+        ("OUTADD_RS422", r"does its firmware have this command and these values"),
+        ("OUTHOLD", r"look at this setting on its web page"),
+    ],
+)
+def test_a_refusal_states_what_concerns_this_command(command: str, advice: str) -> None:
+    sensor = HandMadeLaser(answers={command: "E208 Parameter out of range"})
+    with pytest.raises(DeviceError, match=rf"laser_x: '{command} .* refused: E208 .*{advice}"):
+        sensor.set_up(rate_Hz=3000)
+
+
+def test_a_stream_that_does_not_stop_may_have_another_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dialogue, "stop_stream", lambda *_: False)
+    with pytest.raises(DeviceError, match=r"laser_x on p: .* goes on streaming\. .* is its baud rate 115200"):
+        HandMadeLaser().set_up(baud=115_200)
+
+
+@pytest.mark.parametrize("line", ["Messbereich: 25,00mm", "Measuring range: 25.00 mm", "Range: 25mm", "MR: 25.0 MM"])
+def test_the_range_is_read_from_the_only_line_in_millimetres(line: str) -> None:
+    info = f"Name: ILD1420-25\r\nSerial: 12345678\r\n{line}\r\nVersion: 001.005"
+    assert HandMadeLaser(answers={"GETINFO": info}).set_up()["range_m"] == 0.025
+
+
+@pytest.mark.parametrize("lines", ["", "\r\nMessbereich: 25,00mm\r\nOffset: 3.00mm", "\r\nMessbereich: 0mm"])
+def test_a_range_that_is_missing_or_not_the_only_one_is_refused_with_the_device(lines: str) -> None:
+    with pytest.raises(DeviceError, match="laser_x: expected a line like 'Measuring range"):
+        HandMadeLaser(answers={"GETINFO": f"Name: ILD1420-25{lines}"}).set_up()
+
+
+@pytest.mark.parametrize("name", ["ILD2300", "ILD2300-20LL"])
+def test_the_short_timestamp_of_an_ild2300_is_refused_with_the_way_out(name: str) -> None:
+    sensor = HandMadeLaser(name=name)
+    with pytest.raises(DeviceError, match=r"laser_x: .*ILD2300.* one value .*Ethernet.*devices\.laser_x\.words"):
+        sensor.set_up()
+    assert "OUTPUT RS422" not in sensor.heard
+    identity = HandMadeLaser(name=name).set_up(words=["DIST", "COUNTER", "TIMESTAMP"])
+    assert (identity["words"], identity["scaling"]) == (WORDS, "ILD1420")
+
+
 def test_two_lost_answers_end_the_set_up_with_what_to_look_at() -> None:
     sensor = WeakLine(lost={"MEASRATE 4": 2})
     with pytest.raises(DeviceError, match=r"no answer to 'MEASRATE 4' .* It answered earlier commands: look at the"):
@@ -127,6 +206,7 @@ def test_a_rate_beyond_the_line_is_a_warning_with_the_highest_possible() -> None
     [
         "DIST1 COUNTER TIMESTAMP",
         "DIST1, COUNTER, TIMESTAMP",
+        "GETOUTINFO_RS422: DIST1 COUNTER TIMESTAMP",
         "GETOUTINFO_RS422\r\nDIST COUNTER TIMESTAMP",
         "GETOUTINFO_RS422 ok\r\nDIST1\r\nCOUNTER\r\nTIMESTAMP_LO\r\nTIMESTAMP_HI",
         "W100 something\r\nDIST1 COUNTER TIMESTAMP",

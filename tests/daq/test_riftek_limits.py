@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from daq.clock import CLOCK_RULES
 from daq.drivers.riftek import stream, wire
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -167,6 +168,38 @@ def test_what_the_host_sends_ends_the_wait_without_a_loss() -> None:
     assert pipe.feed(TX, wire.request(wire.EVERYONE, wire.STOP), START_NS + 3101 * MS) == []
     assert pipe.feed(RX, b"", START_NS + 3102 * MS) == []
     assert counters(read(pipe, [*range(3020, 3040)], 0)) == [*range(3020, 3040)]
+
+
+@pytest.mark.parametrize("rules", [6, 7])
+def test_what_the_host_sends_after_two_late_reads_leaves_their_loss(rules: int) -> None:
+    """The cable was unplugged for 3 s: the set-up stops the stream before the results have waited long enough."""
+    pipe = pipeline(laser(), {CLOCK_RULES: rules})
+    feed(pipe, reads_of(np.arange(3000), 1000.0, 0.0))
+    numbers = [*range(6000, 6020)]
+    assert read(pipe, numbers, 0) == read(pipe, [*range(6020, 6040)], 0) == []
+    items = pipe.feed(TX, wire.request(wire.EVERYONE, wire.STOP), START_NS + 6040 * MS)
+    (batch,) = [item for item in items if isinstance(item, Batch)]
+    if rules < 7:  # as the log was decoded when it was recorded
+        assert (counters(items), events(items)) == ([*range(3000, 3040)], [])
+        return
+    (gap,) = events(items, "gap")
+    assert gap.facts["samples"] == pipe.losses["samples"] == 3000
+    assert gap.facts["uncertain_samples"] == 4
+    assert counters(items) == [*range(6000, 6040)]
+    assert abs(int(batch.time_ns[0]) - START_NS - 6000 * MS) <= MS
+
+
+def test_a_request_of_the_set_up_does_not_end_the_wait() -> None:
+    """The cable is back while the sensor is asked for its identity: one read has come, and the stream goes on."""
+    pipe = after_3_s()
+    assert read(pipe, [*range(6000, 6020)], 0) == []
+    for code in (wire.IDENTIFY, wire.READ, wire.WRITE):
+        assert pipe.feed(TX, wire.request(1, code, b"\x08"), START_NS + 6020 * MS) == []
+    found = [read(pipe, [*range(6020 + 20 * i, 6040 + 20 * i)], 0) for i in range(13)]
+    items = [item for each in found for item in each if not isinstance(item, DeviceEvent) or item.kind == "gap"]
+    (gap,) = events(items)
+    assert gap.facts["samples"] == pipe.losses["samples"] == 3000
+    assert counters(items) == [*range(6000, 6280)]
 
 
 @pytest.mark.parametrize("lost", [8, 20])

@@ -19,6 +19,8 @@ _QUIET_S = 0.25  # without a further answer, after which no late one follows; wa
 _MOST_LATE_S = 2.0  # of a sensor that sends lines without end, wall s
 _ACCESS = re.compile(r"access|denied", re.IGNORECASE)
 _ARGUMENT = re.compile(r"parameter|argument|value|range|timeout", re.IGNORECASE)
+_REFUSAL = re.compile(r"E\d{2,}\b")  # two digits on an ILD2300, otherwise three
+_ACKNOWLEDGED = re.compile(r"(\w+)\b.*\bok", re.IGNORECASE)
 _BITS_PER_WORD = 30  # three bytes, each with a start bit and a stop bit
 
 _USER_LEVEL = (
@@ -42,13 +44,14 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     """
     if not stop_stream(talk, b"OUTPUT NONE\n"):
         raise DeviceError(
-            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. {_why(talk)}"
+            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. {_why(config, talk)}"
         )
     talk.restart_decoding()
     dialogue = _Dialogue(device, config, talk)
     dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may have been lost in the stream
-    dialogue.command("ECHO ON")
-    info = sensor_answers.parse_info(dialogue.command("GETINFO"))
+    dialogue.command("ECHO ON", may_lack=True)
+    info = _info(device, dialogue.command("GETINFO"))
+    _check_timestamp(device, config, info)
     scaling = _checked_scaling(device, config, info)
     dialogue.command("OUTHOLD NONE", may_lack=True)
     dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
@@ -72,20 +75,20 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     return {**info, "scaling": scaling, "words": list(words), **warning}
 
 
-def _why(talk: Talk) -> str:
+def _why(config: Laser, talk: Talk) -> str:
     """Return the likely reason for a stream that does not stop, from the answers received meanwhile."""
     while not talk.replies.empty():
         line = talk.replies.get_nowait()
         if _is_refusal(line) and _ACCESS.search(line):
             return f"It answers {line}. {_USER_LEVEL}"
     return (
-        "Does its line carry commands too (both wire pairs of RS422), and does another program or master command it? "
-        "Switch it off and on"
+        f"Does its line carry commands too (both wire pairs of RS422), is its baud rate {config.baud}, and does "
+        "another program or master command it? Switch it off and on"
     )
 
 
 def _is_refusal(line: str) -> bool:
-    return line[:1] == "E" and line[1:4].isdigit()
+    return _REFUSAL.match(line) is not None
 
 
 class _Dialogue:
@@ -94,6 +97,7 @@ class _Dialogue:
     def __init__(self, device: str, config: Laser, talk: Talk) -> None:
         self._device, self._config, self._talk = device, config, talk
         self._answered = False
+        self._sent = {"OUTPUT"}  # names of the commands so far
 
     def command(self, text: str, *, may_lack: bool = False, repeat: bool = True) -> list[str]:
         """Send a command and return the lines of the answer.
@@ -108,7 +112,7 @@ class _Dialogue:
                 return []
             raise DeviceError(self._no_answer(text, repeat))
         if bad and (not may_lack or _ACCESS.search(bad) or _ARGUMENT.search(bad)):
-            raise DeviceError(f"{self._device}: {text!r} refused: {bad}. {self._advice(bad)}")
+            raise self._refused(text, bad)
         return lines
 
     def switch_off(self, text: str, otherwise: str) -> str:
@@ -119,16 +123,17 @@ class _Dialogue:
         """
         _, bad = self._ask(text)
         if bad and _ACCESS.search(bad):
-            raise DeviceError(f"{self._device}: {text!r} refused: {bad}. {self._advice(bad)}")
+            raise self._refused(text, bad)
         return f"{text} refused ({bad}): {otherwise}" if bad and not re.search("unknown command", bad, re.I) else ""
 
     def _ask(self, text: str, *, repeat: bool = True) -> tuple[list[str] | None, str]:
         """Return the lines of the answer, None without an answer, and the refusal among them; empty without one."""
+        self._sent.add(text.split(maxsplit=1)[0])
         for attempt, wait_s in enumerate(_ANSWER_S if repeat else _ANSWER_S[:1]):
             if attempt == 0:
                 self._drop_answers(0.0)
             self._talk.send(text.encode("ascii") + b"\n")
-            lines = self._answer(wait_s)
+            lines = self._answer(text, wait_s)
             if lines is None:
                 continue
             self._answered = True
@@ -137,8 +142,8 @@ class _Dialogue:
             return lines, next((line for line in lines if _is_refusal(line)), "")
         return None, ""
 
-    def _answer(self, wait_s: float) -> list[str] | None:
-        """Return the lines before the next prompt; None if it does not arrive in time."""
+    def _answer(self, text: str, wait_s: float) -> list[str] | None:
+        """Return the lines before the prompt of the answer to a command; None if it does not arrive in time."""
         clock = self._talk.clock
         lines: list[str] = []
         deadline = clock.wall_s() + wait_s
@@ -147,10 +152,19 @@ class _Dialogue:
                 line = self._talk.replies.get(timeout=left)
             except queue.Empty:  # usual: the sensor sends no further line
                 break
-            if line == sensor_answers.PROMPT:
+            if line != sensor_answers.PROMPT:
+                lines.append(line)
+            elif self._is_of_another(lines, text):
+                lines = []
+            else:
                 return lines
-            lines.append(line)
         return None
+
+    def _is_of_another(self, lines: Sequence[str], text: str) -> bool:
+        """Whether the lines acknowledge another command: they are the answer of a slow sensor to an earlier one."""
+        name = text.split(maxsplit=1)[0]
+        found = {match[1].upper() for line in lines if (match := _ACKNOWLEDGED.fullmatch(line))} & self._sent
+        return bool(found) and name not in found
 
     def _drop_answers(self, quiet_s: float) -> None:
         """Remove answers until none has arrived for some wall seconds, or some more have passed."""
@@ -165,8 +179,19 @@ class _Dialogue:
         except queue.Empty:  # usual: no further answer
             return
 
-    def _advice(self, refusal: str) -> str:
-        return _USER_LEVEL if _ACCESS.search(refusal) else "Check rate and output words in the rig file"
+    def _refused(self, text: str, refusal: str) -> DeviceError:
+        """Return the error about a refused command, with what concerns this command."""
+        name = text.split(maxsplit=1)[0]
+        if _ACCESS.search(refusal):
+            advice = _USER_LEVEL
+        elif name == "MEASRATE":
+            rate = f"devices.{self._device}.rate_Hz is {self._config.rate_Hz:g}"
+            advice = f"{rate}: set a rate of its model, in Hz (its manual: MEASRATE, in kHz)"
+        elif name.endswith("_RS422"):
+            advice = "Distance, counter and timestamp are needed: does its firmware have this command and these values?"
+        else:
+            advice = "Samples could be omitted or shifted: look at this setting on its web page, and repeat this"
+        return DeviceError(f"{self._device}: {text!r} refused: {refusal}. {advice}")
 
     def _no_answer(self, text: str, repeat: bool) -> str:
         waited = f"{sum(_ANSWER_S):g} s, although it was sent twice" if repeat else f"{_ANSWER_S[0]:g} s"
@@ -189,6 +214,33 @@ def _slow_line(device: str, config: Laser, words: Sequence[str]) -> str:
         f"{config.baud}: the sensor sends error codes instead of distances then. Set a rate of its model up to "
         f"{most:.0f} Hz, or a higher baud rate in sensor and rig file"
     )
+
+
+def _info(device: str, answer: Sequence[str]) -> sensor_answers.SensorInfo:
+    """Return the contents of an answer to GETINFO.
+
+    Raises:
+        DeviceError: the measuring range is missing.
+    """
+    try:
+        return sensor_answers.parse_info(answer)
+    except DeviceError as error:
+        raise DeviceError(f"{device}: {error}") from error
+
+
+def _check_timestamp(device: str, config: Laser, info: sensor_answers.SensorInfo) -> None:
+    """Refuse a sensor whose timestamp gives no times of samples, unless the rig file states its words.
+
+    Raises:
+        DeviceError: it is an ILD2300.
+    """
+    if distance_words.model_of(info["name"]) in distance_words.SHORT_TIMESTAMP and not config.words:
+        raise DeviceError(
+            f"{device}: expected a timestamp of two values in steps of 10 µs; {info['name']} (serial {info['serial']}) "
+            "sends one value in steps of 256 µs on its serial line, which gives no times of samples. Connect it by "
+            "Ethernet and use the driver optoncdt_ethernet. If its firmware sends two values, low half first, set "
+            f"devices.{device}.words, in stream order"
+        )
 
 
 def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo) -> str:

@@ -31,6 +31,15 @@ ERROR_CODES = {
 }
 """Distance words that are error codes, and their meaning (18 bits; never mask them to 16 bits before the test)."""
 
+REMEDIES = {
+    262075: "set a lower rate or a higher baud rate",
+    262077: "move the target away from the sensor",
+    262078: "move the target towards the sensor",
+    262081: "reduce the reflected light",
+    262082: "switch the laser on: LASERPOW FULL, its web page, or its input",
+}
+"""What to do about error codes whose cause is known."""
+
 _NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 
 
@@ -69,10 +78,19 @@ USUAL_SCALING = "ILD1420"
 """Scaling for logs that do not contain one."""
 
 
+SHORT_TIMESTAMP = frozenset({"2300"})
+"""Models that send 18 bits of a timestamp in steps of 256 µs on their serial line. Source: ILD2300 manual, RS422."""
+
+
+def model_of(name: str) -> str:
+    """Return the number of the model in a sensor's name, like ``ILD1420-25``; empty without one."""
+    found = re.search(r"(?<!\d)\d{4}(?!\d)", name)
+    return found[0] if found else ""
+
+
 def scaling_of(name: str) -> str | None:
     """Return the key in `SCALINGS` for a sensor's name, like ``ILD1420-25``; None if its model is unknown."""
-    model = re.search(r"(?<!\d)\d{4}(?!\d)", name)
-    return next((key for key, scaling in SCALINGS.items() if model and model[0] in scaling.models), None)
+    return next((key for key, scaling in SCALINGS.items() if model_of(name) in scaling.models), None)
 
 
 def metres(code: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.float64]:

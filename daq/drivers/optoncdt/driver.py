@@ -29,6 +29,7 @@ class OptoNcdt(DisplacementDriver):
     claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
     usual: tuple[Mapping[str, Any], ...] = (
         {},
+        {"baud": 691_200},
         {"baud": 115_200},
         {"baud": 230_400},
         {"baud": 460_800},
@@ -62,7 +63,9 @@ class OptoNcdt(DisplacementDriver):
             return {}
         code, count = max(pipeline.error_codes.items(), key=lambda found: found[1])
         meaning = self.code_meaning(code) or "not in the manuals"
-        return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, f"in {count} samples")}
+        remedy = distance_words.REMEDIES.get(code)
+        note = f"in {count} samples" + (f": {remedy}" if remedy else "")
+        return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, note)}
 
     def code_meaning(self, code: int) -> str:
         """See NamesCodes."""

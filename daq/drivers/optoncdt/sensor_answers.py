@@ -14,6 +14,7 @@ DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI = "DIST", "COUNTER", "TIMESTAMP_LO
 _OUTINFO = "GETOUTINFO_RS422 "
 _NOT_DISTANCE = ("SHUTTER", "COUNTER", "TIMESTAMP", "INTENSITY", "STATE", "DIST_RAW", "TEMP")  # other outputs
 _KNOWN = frozenset({*_NOT_DISTANCE, TIMESTAMP_LO, TIMESTAMP_HI})
+_MILLIMETRES = re.compile(r"(\d+(?:[.,]\d*)?)\s*mm", re.IGNORECASE)
 MAX_WORDS = 32
 """Largest number of words in a block; sensors have about ten."""
 
@@ -30,19 +31,23 @@ class SensorInfo(TypedDict):
 def parse_info(lines: Sequence[str]) -> SensorInfo:
     """Parse the answer to GETINFO.
 
+    The measuring range is the only length in mm if firmware names it otherwise.
+
     Raises:
         DeviceError: the measuring range is missing or is not a positive number of mm.
     """
     fields = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    text = fields.get("measuring range", "")
-    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*mm", text, re.IGNORECASE)
-    if match is None or float(match[1]) <= 0:
+    lengths = [value for value in fields.values() if _MILLIMETRES.fullmatch(value)]
+    text = fields.get("measuring range", lengths[0] if len(lengths) == 1 else "")
+    match = _MILLIMETRES.fullmatch(text)
+    range_mm = float(match[1].replace(",", ".")) if match else 0.0
+    if range_mm <= 0:
         raise DeviceError(
             f"expected a line like 'Measuring range: 25.00mm' in the answer to GETINFO, got {text!r} "
             f"in {list(lines)!r}: is this an optoNCDT sensor, and was the stream stopped before the command?"
         )
     name, serial, version = (fields.get(key, "") for key in ("name", "serial", "version"))
-    return SensorInfo(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
+    return SensorInfo(name=name, serial=serial, range_m=range_mm / 1000.0, version=version)
 
 
 def parse_outinfo(line: str) -> tuple[str, ...]:
@@ -87,13 +92,13 @@ def announced(line: str) -> tuple[str, ...] | None:
 def named(answer: Sequence[str]) -> tuple[str, ...] | None:
     """Return the words that the lines of an answer to GETOUTINFO_RS422 name together, without the command's name.
 
-    Firmware may send the names alone, in one line or one for each line, with commas, after an echo. Only names of known
-    outputs are accepted, since such lines do not state what they are. None if there are other names.
+    Firmware may send the names alone, in one line or one for each line, with commas or a colon, after an echo. Only
+    names of known outputs are accepted, since such lines do not state what they are. None if there are other names.
     """
     names: list[str] = []
     for line in answer:
-        found = line.upper().replace(",", " ").split()
-        if found and re.fullmatch(r"W\d{3}", found[0]):
+        found = re.sub("[,:]", " ", line.upper()).split()
+        if found and re.fullmatch(r"W\d{2,3}", found[0]):
             continue
         names += [name for name in found if name not in (_OUTINFO.strip(), "OK")]
     if len({*names}) < len(names) or not all(re.fullmatch(r"DIST\d?", name) or name in _KNOWN for name in names):

@@ -24,6 +24,9 @@ from daq.items import TX, Batch, DeviceEvent
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock
 
+_BARREN_RULES = 7  # first rules by which bytes that never gave a block are counted
+_MOST_BEFORE_FIRST = 1024  # bytes before the first block that are not counted; a block has at most 96
+
 _MOST_CODES = 32  # different error codes that are counted
 
 Items = list[Batch | DeviceEvent]
@@ -57,6 +60,7 @@ class LaserPipeline:
         self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
+        self._before_first = 0  # bytes skipped before the first block
         self._tail = b""  # the beginning of an incomplete block
         self._order = RowOrder(self._nominal_ticks)
         self._reported_period = self._nominal_ticks
@@ -115,7 +119,9 @@ class LaserPipeline:
         """Decode bytes with the present words; return those after an answer that announces other words."""
         found = self._decoder.feed(data)
         self._report_lines(found.text, out)
-        skipped = found.skipped_bytes if self._joined else found.skipped_bytes - found.skipped_first
+        skipped = found.skipped_bytes
+        if not self._joined:
+            skipped += self._counted_before_first(found.skipped_first, out) - found.skipped_first
         if skipped:
             self.losses["bytes"] += skipped
             text = f"{skipped} bytes skipped to find the next block"
@@ -127,6 +133,24 @@ class LaserPipeline:
             self._trial = WordsTrial(self._decoder, found.announced, self._order.follows)
         self._decoder.follow_answers = True
         return found.rest
+
+    def _counted_before_first(self, skipped: int, out: Items) -> int:
+        """Return how many bytes count as lost after further bytes were skipped before the first block.
+
+        The rest of a block in which the stream was joined does not count. Many bytes are another stream.
+        """
+        before, self._before_first = self._before_first, self._before_first + skipped
+        if self._before_first <= _MOST_BEFORE_FIRST or self._rules < _BARREN_RULES:
+            return 0
+        if before > _MOST_BEFORE_FIRST:
+            return skipped
+        words = " ".join(self._decoder.words)
+        text = (
+            f"{self._before_first} bytes without a block of the words {words}: the sensor sends other words, or the "
+            "line has another baud rate"
+        )
+        out.append(DeviceEvent("words", self._device, text))
+        return self._before_first
 
     def _try(self, data: bytes, host_ns: int, out: Items) -> bytes:
         """Continue the decision about the words; after it decode the held bytes. Return the bytes that follow."""

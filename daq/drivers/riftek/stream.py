@@ -9,9 +9,10 @@ accuracy of a loss count depends on the loss:
   number that fits modulo 4, if it is possible by the host's time.
 - More are missing, and their bytes did not arrive. The count is estimated from the host's time
   (`daq.drivers.riftek.read_lags`). A read that is late by more than `ReadLags.far_ns` is held until the host has caught
-  up or its delay has persisted. Its samples are returned 0.25 s late and have correct times. A smaller loss is found up
-  to 1 s later; the samples until then have times that are early by the duration of the loss. The event of such a gap
-  contains `uncertain_samples`. A multiple of 4 below the guard is never found.
+  up or its delay has persisted: for 0.25 s, or for two reads before the stream is stopped or started. Its samples are
+  returned late and have correct times. A smaller loss is found up to 1 s later; the samples until then have times that
+  are early by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the
+  guard is never found.
 
 A sensor that was switched off and on gives a gap like any other, because the line does not show the difference.
 """
@@ -44,6 +45,7 @@ NOT_NEW = 0x2
 _NO_READING = 0x3FFFF  # code for the spike detector: above any reading
 _WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
 _MAX_WAIT_ROWS = 65_536  # results that may wait
+_LOSS_AT_COMMAND_RULES = 7  # first rules by which only a stop or start of the stream ends a wait, as the log's end does
 
 Items = list[Batch | DeviceEvent]
 
@@ -120,7 +122,8 @@ class RiftekPipeline:
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = ResultDecoder()
         self._lags = ReadLags(self._period_ns)
-        self._clock = ClockMap(settings.clock_tolerance_ppm, clock_rules(identity))
+        self._rules = clock_rules(identity)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules)
         self._spikes = SpikeWatch()
         self._number = -1  # number of the last sample returned, including lost ones
         self._given = 0  # samples returned
@@ -149,6 +152,8 @@ class RiftekPipeline:
         if direction == TX:
             self._decoder.expect(wire.awaited(data))
             self._rate.sent(data)
+            if self._rules >= _LOSS_AT_COMMAND_RULES:
+                return self._ended(host_ns) if wire.codes_of(data) & {wire.START, wire.STOP} else []
             return self._release(0, host_ns) if self._waiting is not None else []
         if not data:
             return self._ended(host_ns)
@@ -211,9 +216,10 @@ class RiftekPipeline:
         return out
 
     def _ended(self, host_ns: int) -> Items:
-        """Return the held samples at the end of the log: after a gap, unless only one read was late.
+        """Return the held samples when no read may follow: after a gap, unless only one read was late.
 
-        The lateness of a single read may be that of the host.
+        The lateness of a single read may be that of the host. The log ends, or a command may stop the stream: after a
+        cable was unplugged for seconds, the set-up begins while the first results wait.
         """
         waiting = self._waiting
         if waiting is None:

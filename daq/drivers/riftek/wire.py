@@ -16,6 +16,7 @@ are not used.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -99,6 +100,11 @@ def awaited(sent: bytes) -> int | None:
     if begin is None or begin + 1 >= len(sent):
         return None
     return ANSWER_BYTES.get(sent[begin + 1] & 0x0F)
+
+
+def codes_of(sent: bytes) -> set[int]:
+    """Return the codes of the requests in sent bytes."""
+    return {code & 0x0F for address, code in pairwise(sent) if address < 0x80}
 
 
 class SensorIdentity(NamedTuple):
