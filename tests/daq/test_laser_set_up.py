@@ -5,11 +5,16 @@ from __future__ import annotations
 import queue
 import threading
 
+import numpy as np
 import pytest
 
-from daq.drivers.optoncdt import dialogue
+from daq import channels
+from daq.drivers.optoncdt import dialogue, wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
+from daq.items import RX
+from rig_configs import load_rig
 from tests.daq.hand_made_laser import HandMadeLaser
 
 NOT_IN_EVERY_MODEL: list[str] = ["TRIGGER", "AVERAGE", "OUTHOLD", "OUTREDUCEDEVICE", "MASTERMV"]
@@ -172,13 +177,18 @@ def test_a_range_that_is_missing_or_not_the_only_one_is_refused_with_the_device(
 
 
 @pytest.mark.parametrize("name", ["ILD2300", "ILD2300-20LL"])
-def test_the_short_timestamp_of_an_ild2300_is_refused_with_the_way_out(name: str) -> None:
-    sensor = HandMadeLaser(name=name)
-    with pytest.raises(DeviceError, match=r"laser_x: .*ILD2300.* one value .*Ethernet.*devices\.laser_x\.words"):
-        sensor.set_up()
-    assert "OUTPUT RS422" not in sensor.heard
-    identity = HandMadeLaser(name=name).set_up(words=["DIST", "COUNTER", "TIMESTAMP"])
-    assert (identity["words"], identity["scaling"]) == (WORDS, "ILD1420")
+def test_an_ild2300_without_samples_is_explained_by_its_short_timestamp(name: str) -> None:
+    identity = HandMadeLaser(name=name).set_up()
+    assert identity["scaling"] == "ILD1420"
+    laser = load_rig("virtual").devices["laser_x"]
+    pipeline = LaserPipeline("laser_x", laser, channels.LASER_X, identity)
+    assert all(words in pipeline.complaint for words in ("one value", "by Ethernet", "devices.laser_x.words"))
+    assert pipeline.has_reported
+    other = LaserPipeline("laser_x", laser, channels.LASER_X, {**identity, "name": "ILD1420-25"})
+    assert other.complaint == ""
+    rows = np.column_stack([np.full(40, 30_000), np.arange(40), 25 * np.arange(40), np.zeros(40, int)])
+    pipeline.feed(RX, optoncdt.encode_block(rows), 1_700_000_000_000_000_000)
+    assert pipeline.complaint == "", "two values are decoded as with other models"
 
 
 def test_two_lost_answers_end_the_set_up_with_what_to_look_at() -> None:

@@ -390,6 +390,7 @@ def test_only_one_node_is_listened_to() -> None:
     assert [event.text for event in events] == [
         "the node's number is 7",
         "frames of node 2 ignored: this rig's is node 7",
+        pipeline.complaint,
     ]
     config = DEVICES["encoder"].model_copy(update={"node": 2})
     chosen = NodePipeline("encoder", config, {})
@@ -403,7 +404,8 @@ def test_the_node_of_one_log_is_that_of_the_next_independent_of_the_first_frame(
     neighbour, ours = blocks_from(1.0, 1, node=2), blocks_from(1.0, 10, 10, 200, node=7)
     batches, events = feed(again, [frame for _, frame in neighbour + ours])
     assert sum(len(batch.time_ns) for batch in batches) == 200
-    assert [event.text for event in events] == ["frames of node 2 ignored: this rig's is node 7"]
+    ignored = "frames of node 2 ignored: this rig's is node 7"
+    assert [event.text for event in events] == [ignored, again.complaint]
     chosen = NodePipeline("encoder", DEVICES["encoder"].model_copy(update={"node": 2}), first.learned)
     assert chosen.learned == {"node": 2}  # the rig file decides
 

@@ -51,7 +51,6 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may have been lost in the stream
     dialogue.command("ECHO ON", may_lack=True)
     info = _info(device, dialogue.command("GETINFO"))
-    _check_timestamp(device, config, info)
     scaling = _checked_scaling(device, config, info)
     dialogue.command("OUTHOLD NONE", may_lack=True)
     dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
@@ -226,21 +225,6 @@ def _info(device: str, answer: Sequence[str]) -> sensor_answers.SensorInfo:
         return sensor_answers.parse_info(answer)
     except DeviceError as error:
         raise DeviceError(f"{device}: {error}") from error
-
-
-def _check_timestamp(device: str, config: Laser, info: sensor_answers.SensorInfo) -> None:
-    """Refuse a sensor whose timestamp gives no times of samples, unless the rig file states its words.
-
-    Raises:
-        DeviceError: it is an ILD2300.
-    """
-    if distance_words.model_of(info["name"]) in distance_words.SHORT_TIMESTAMP and not config.words:
-        raise DeviceError(
-            f"{device}: expected a timestamp of two values in steps of 10 µs; {info['name']} (serial {info['serial']}) "
-            "sends one value in steps of 256 µs on its serial line, which gives no times of samples. Connect it by "
-            "Ethernet and use the driver optoncdt_ethernet. If its firmware sends two values, low half first, set "
-            f"devices.{device}.words, in stream order"
-        )
 
 
 def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo) -> str:

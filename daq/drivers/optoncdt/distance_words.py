@@ -79,7 +79,8 @@ USUAL_SCALING = "ILD1420"
 
 
 SHORT_TIMESTAMP = frozenset({"2300"})
-"""Models that send 18 bits of a timestamp in steps of 256 µs on their serial line. Source: ILD2300 manual, RS422."""
+"""Models whose manual states one value of 18 bits in steps of 256 µs as their timestamp on the serial line. Source:
+manual of the ILD2300, RS422."""
 
 
 def model_of(name: str) -> str:

@@ -29,6 +29,12 @@ _MOST_BEFORE_FIRST = 1024  # bytes before the first block that are not counted; 
 
 _MOST_CODES = 32  # different error codes that are counted
 
+_SHORT_TIMESTAMP = (
+    "expected a timestamp of two values in steps of 10 µs; by its manual an ILD2300 sends one value in steps of 256 µs "
+    "on its serial line, which gives no times of samples. Connect it by Ethernet and use the driver optoncdt_ethernet. If "
+    "its firmware sends two values, low half first, set devices.{device}.words, in stream order"
+)
+
 Items = list[Batch | DeviceEvent]
 
 
@@ -37,6 +43,7 @@ class LaserPipeline:
 
     Attributes:
         error_codes: number of samples so far with each error code in place of a distance, of the first 32 codes.
+        has_reported: see DescribesItself.
 
     Raises:
         DeviceError: range, scaling or words of the identity are invalid.
@@ -46,6 +53,8 @@ class LaserPipeline:
         kinds = ("samples", "bytes", "damaged", "invalid", "suspect", "unusable")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self.error_codes: dict[int, int] = {}
+        self.has_reported: bool = True
+        self._may_be_short = distance_words.model_of(str(identity.get("name", ""))) in distance_words.SHORT_TIMESTAMP
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
         usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it
@@ -67,6 +76,11 @@ class LaserPipeline:
         self._set_up = SetUpWatch()
         self._restart()
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+
+    @property
+    def complaint(self) -> str:
+        """See DescribesItself: why there is no sample yet from a model whose timestamp may be one value."""
+        return _SHORT_TIMESTAMP.format(device=self._device) if self._may_be_short and not self._joined else ""
 
     @property
     def set_up_lost(self) -> str:

@@ -1,7 +1,7 @@
 """Which node is the rig's: that of the rig file, that of the log, or the first one that is received.
 
 Rules of a log from 7 on (`clock_rules`): of several nodes the first one that sends samples is chosen. If another one
-sends samples too, the choice is doubtful unless the rig file or the log states the node.
+sends samples too, the choice is doubtful unless the rig file states the node.
 """
 
 from __future__ import annotations
