@@ -100,6 +100,9 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - an adapter that is known to return sent frames may return a heartbeat late;
     - late answers, missing status messages and every command of another node are events.
 
+    From 7 on, a polled displacement sensor's texts without a value are named by the code of the sample, more of them
+    are read, its block checks are compared, and only refusals that last are a fault.
+
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
     """
