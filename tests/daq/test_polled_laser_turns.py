@@ -37,6 +37,10 @@ def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
     return [item.kind if isinstance(item, DeviceEvent) else "sample" for item in items]
 
 
+def texts_of(items: list[Batch | DeviceEvent]) -> list[str]:
+    return [item.text for item in items if isinstance(item, DeviceEvent)]
+
+
 class Line:
     """A sensor that answers in order, whose value is the time of its measurement, and the host's side of its line.
 
@@ -259,14 +263,14 @@ def test_older_logs_are_decoded_as_before(dialect: str, answer: bytes, expected:
     assert int(found[1].columns["code"][0]) == 0
 
 
-def test_values_beyond_the_range_are_told_once_with_the_unit_as_the_likely_cause() -> None:
+def test_values_beyond_the_range_are_reported_once_with_the_unit_as_the_likely_cause() -> None:
     decoder = pipeline(sensor(dialect="LK-G", range_m=0.01))
     answers = [b"M1,+01.0000", b"M1,+02288.5", b"M1,+02287.5", b"M1,+01.0000", b"M1,-02288.5"]
     found = [asked(decoder, b"M1\r", answer, 20 * number) for number, answer in enumerate(answers)]
-    told = [[i.text for i in items if isinstance(i, DeviceEvent) and i.kind == "status"] for items in found]
-    assert [len(texts) for texts in told] == [0, 1, 0, 0, 1]
-    assert "M1,+02288.5 is 2.2885 m, more than range_m = 0.01 m" in told[1][0]
-    assert "unit_m" in told[1][0]
+    reported = [[i.text for i in items if isinstance(i, DeviceEvent) and i.kind == "status"] for items in found]
+    assert [len(texts) for texts in reported] == [0, 1, 0, 0, 1]
+    assert "M1,+02288.5 is 2.2885 m, more than range_m = 0.01 m" in reported[1][0]
+    assert "unit_m" in reported[1][0]
     assert decoder.losses["invalid"] == 3
 
 
@@ -276,10 +280,12 @@ def test_a_wrong_block_check_is_damage_once_right_ones_have_come(rules: int, dam
     texts = [b"%%01$RMD+00012%02d" % n for n in range(10)]
     lines = [text + wire.check_sum(text) for text in texts]
     lines[6] = lines[6].replace(b"+0", b"+4")
+    found: list[Batch | DeviceEvent] = []
     for number, line in enumerate(lines):
-        asked(decoder, b"%01#RMD**\r", line, 20 * number)
+        found += asked(decoder, b"%01#RMD**\r", line, 20 * number)
     assert decoder.losses["damaged_lines"] == damaged
     assert decoder.losses["samples"] == damaged
+    assert sum("wrong block check" in text for text in texts_of(found)) == damaged
 
 
 def test_block_checks_of_another_definition_are_no_damage() -> None:
@@ -295,7 +301,7 @@ def test_block_checks_of_another_definition_are_no_damage() -> None:
 
 @pytest.mark.parametrize(("rules", "faults"), [(7, 0), (6, 1)])
 def test_refusals_for_a_moment_are_no_fault(rules: int, faults: int) -> None:
-    """Somebody presses a key of the sensor. A fault ends a recording."""
+    """As during a change of its settings. A fault ends a recording."""
     decoder = pipeline(sensor(dialect="LK-G"), rules)
     found: list[str] = []
     for n in range(90):
@@ -305,7 +311,7 @@ def test_refusals_for_a_moment_are_no_fault(rules: int, faults: int) -> None:
     assert found[-1] == "sample"
 
 
-def test_refusals_that_last_are_one_fault_that_says_what_to_do() -> None:
+def test_refusals_that_last_are_one_fault_with_a_remedy() -> None:
     decoder = pipeline(sensor(dialect="HL-G1"))
     found = [item for n in range(300) for item in asked(decoder, b"%01#RMD**\r", b"%01!21**", 20 * n)]
     (fault,) = [item.text for item in found if isinstance(item, DeviceEvent) and item.kind == "fault"]

@@ -41,7 +41,7 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
         if isinstance(found, wire.Refusal):  # the first request may have been joined to the rest of an earlier one
             refusal = f"got {answer!r}: {found.why}"
         elif found is None:
-            other = f"{answer[:40]!r}"
+            other = repr(answer)
     if refusal:
         raise DeviceError(
             f"{device} on {settings.port}: expected a value for {request!r}, {refusal}. Check "

@@ -1,4 +1,4 @@
-"""Requests to a polled displacement sensor, each of which can be told from those before it.
+"""Requests to a polled displacement sensor, each of which is distinguished from those before it.
 
 An answer has no number. After an answer that is missing, damaged or surplus, the next one could belong to an earlier
 request, and its value to an earlier time. The host then sends a probe: a request that only reads and whose answer is no
@@ -34,7 +34,7 @@ class Turns:
         """Begin with a probe: answers to an earlier program, or to the dialogue, may still come."""
         self._awaited = b""  # the request whose answer is awaited
         self._is_in_doubt = True  # whether an answer may belong to an earlier request
-        self._knows_probe = False
+        self._has_probed = False
         self._unanswered = 0  # probes before the first answer to one
         self._line = b""
 
@@ -43,7 +43,7 @@ class Turns:
         if self._awaited:
             self._is_in_doubt = True
             self._unanswered += self._awaited == self._probe
-        probes = self._is_in_doubt and (self._knows_probe or self._unanswered < _TRIES)
+        probes = self._is_in_doubt and (self._has_probed or self._unanswered < _TRIES)
         self._awaited = self._probe if probes else self._value
         return self._awaited
 
@@ -71,7 +71,7 @@ class Turns:
         return True
 
     def _is_in_order(self) -> bool:
-        self._awaited, self._is_in_doubt, self._knows_probe = b"", False, True
+        self._awaited, self._is_in_doubt, self._has_probed = b"", False, True
         return True
 
 

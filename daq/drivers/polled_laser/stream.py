@@ -65,7 +65,7 @@ class PolledPipeline:
         self._names = self._rules >= _NAMED_RULES
         self._request, self._probe = self._dialect.request(settings.output), self._dialect.probe(settings.output)
         self._probes = 0  # probes sent and not answered
-        self._has_probed = self._knows_probe = False  # whether a probe was sent, and one answered
+        self._has_probed = self._is_probed = False  # whether a probe was sent, and one answered
         self._asked_ns: int | None = None  # time of the request that is not answered yet
         self._lost = 0  # samples lost since the last one
         self._counter = 0
@@ -100,7 +100,7 @@ class PolledPipeline:
     def _asked(self, data: bytes, host_ns: int) -> Items:
         if data not in (self._request, self._probe):
             return []
-        out = self._gap() if self._asked_ns is not None or (self._probes and self._knows_probe) else []
+        out = self._gap() if self._asked_ns is not None or (self._probes and self._is_probed) else []
         self._joined = True
         if data == self._probe:
             self._has_probed = True
@@ -125,10 +125,10 @@ class PolledPipeline:
     def _answered(self, line: bytes, joined: bool, host_ns: int) -> Items:
         found = self._read(line)
         if self._is_of_probe(line, found):
-            self._probes, self._knows_probe = 0, True
+            self._probes, self._is_probed = 0, True
             return []
         if found is None or self._is_altered(found):
-            return self._damaged(line, joined)
+            return self._damaged(line, joined, "not an answer" if found is None else "wrong block check")
         self._has_answered = True
         if not self._begun:
             self._begun = True
@@ -144,7 +144,7 @@ class PolledPipeline:
         if isinstance(found, wire.Refusal):
             return [reply, *self._refused(found, host_ns)]
         self._refusals, self._refusing_ns, self._is_fault = 0, None, False
-        return [reply, *self._told_beyond(found, line), self._sample(found, asked_ns, host_ns)]
+        return [reply, *self._report_beyond(found, line), self._sample(found, asked_ns, host_ns)]
 
     def _read(self, line: bytes) -> wire.Reading | wire.Refusal | None:
         """Read an answer, by the rules of the log."""
@@ -165,16 +165,16 @@ class PolledPipeline:
         self._agreed = self._agreed + 1 if found.check else self._agreed if is_altered else 0
         return is_altered
 
-    def _damaged(self, line: bytes, joined: bool) -> Items:
+    def _damaged(self, line: bytes, joined: bool, what: str) -> Items:
         is_echo = line + b"\r" == self._request or (self._has_probed and line + b"\r" == self._probe)
         if not joined or is_echo:  # cut at its beginning, or the line's echo
             return []
         self.losses["damaged_lines"] += 1
-        is_foreign = self._names and self._dialect.is_foreign(line, self._output)
-        what = "of another sensor, or sent without a request" if is_foreign else "not an answer"
+        if self._names and self._dialect.is_foreign(line, self._output):
+            what = "of another sensor, or sent without a request"
         out: Items = [DeviceEvent("damage", self._device, f"{what}: {line[:40]!r}", {"lines": 1})]
         if self._names and not self._has_answered:  # the dialogue shows it to the operator
-            out.append(DeviceEvent("reply", self._device, line.decode("latin-1")))
+            out.append(DeviceEvent("reply", self._device, line[:40].decode("latin-1")))
         return out
 
     def _refused(self, found: wire.Refusal, host_ns: int) -> Items:
@@ -192,7 +192,7 @@ class PolledPipeline:
             text += ". Is it being set up? Return it to its measuring state"
         return [DeviceEvent("fault", self._device, text)]
 
-    def _told_beyond(self, found: wire.Reading, line: bytes) -> Items:
+    def _report_beyond(self, found: wire.Reading, line: bytes) -> Items:
         """Report the first one of values beyond the range: the sensor may have been set to another unit."""
         was_beyond = self._is_beyond
         self._is_beyond = self._names and self._code(found) == BEYOND_CODE
