@@ -55,5 +55,6 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
         )
     raise DeviceError(
         f"{device} on {settings.port}: no answer to {request!r} in {_TRIES} tries. Is it a {dialect.sensors} with "
-        f"output {settings.output} (of an HL-G1 its address), {settings.baud} baud, parity {settings.parity}, and does the line carry both directions?"
+        f"output {settings.output} (of an HL-G1 its address), {settings.baud} baud, parity {settings.parity}, and does "
+        "the line carry both directions?"
     )
