@@ -107,6 +107,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
       loss before them when it stops or starts the stream;
     - bytes of an optoNCDT sensor that never gave a block are counted.
+    From 7 on, a polled displacement sensor's texts without a value are named by the code of the sample, more of them
+    are read, its block checks are compared, and only refusals that last are a fault.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

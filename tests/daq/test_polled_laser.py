@@ -233,8 +233,8 @@ def test_damage_and_refusals_are_counted_and_a_first_line_that_was_cut_is_not() 
     line = pipeline()
     assert line.feed(RX, b"0000\r", 0) == []
     line.feed(TX, b"M1\r", 0)
-    assert events(line.feed(RX, b"M1,+0?.0000\r", MS)) == ["damage"]
-    assert events(line.feed(RX, b"x" * 1000 + b"\r", MS)) == ["damage"]
+    assert events(line.feed(RX, b"M1,+0?.0000\r", MS)) == ["damage", "reply"]
+    assert events(line.feed(RX, b"x" * 1000 + b"\r", MS)) == ["damage", "reply"], "for the opening dialogue"
     assert events(line.feed(RX, b"ER,M1,01\r", MS)) == ["reply"]
     line.feed(TX, b"M1\r", 2 * MS)
     assert events(line.feed(RX, b"ER,M1,01\r", 3 * MS)) == ["reply"]
@@ -247,8 +247,8 @@ def test_refusals_in_a_row_are_a_fault_and_a_single_one_is_not() -> None:
     found: list[list[str]] = []
     answers = [b"ER,M1,01\r", b"ER,M1,01\r", b"M1,+00.0000\r", *[b"ER,M1,01\r"] * 4]
     for number, answer in enumerate(answers):
-        line.feed(TX, b"M1\r", 10 * number * MS)
-        found.append(events(line.feed(RX, answer, (10 * number + 5) * MS)))
+        line.feed(TX, b"M1\r", 1000 * number * MS)
+        found.append(events(line.feed(RX, answer, (1000 * number + 5) * MS)))
     assert found == [["reply"]] * 5 + [["reply", "fault"], ["reply"]]
     assert line.losses["refused"] == 6
 
@@ -327,7 +327,7 @@ def test_a_sensor_that_cannot_be_opened_is_explained(fault: str, words: str) -> 
 def test_requests_in_any_pieces_are_answered_once() -> None:
     """Requests of another output are not answered."""
     far, still = SimulatedPolledLaser(sensor(), Beam.unmoved()), Still(np.array([0.0, 0.01]))
-    for byte in b"xx\rM1\rM2\rM1\r":
+    for byte in b"xx\rM1\rM3\rM1\r":
         assert far.receive(bytes([byte]), 0.0) == b""
     assert far.sample(still) == 2 * b"M1,+00.0000\r"
     assert far.sample(still) == b""

@@ -28,7 +28,7 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
     request = dialect.request(settings.output)
     while not talk.replies.empty():
         talk.replies.get_nowait()
-    refusal: str = ""
+    refusal = other = ""
     for _ in range(_TRIES):
         talk.send(request)
         try:
@@ -40,12 +40,21 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
             return {"dialect": settings.dialect, "output": settings.output}
         if isinstance(found, wire.Refusal):  # the first request may have been joined to the rest of an earlier one
             refusal = f"got {answer!r}: {found.why}"
+        elif found is None:
+            other = repr(answer)
     if refusal:
         raise DeviceError(
             f"{device} on {settings.port}: expected a value for {request!r}, {refusal}. Check "
             f"devices.{device}.output, and that the sensor is in its measuring state"
         )
+    if other:
+        raise DeviceError(
+            f"{device} on {settings.port}: expected an answer to {request!r} from a {dialect.sensors}, output "
+            f"{settings.output}, got {other}. Check devices.{device}.dialect and output (of an HL-G1 its address), "
+            "baud and parity, and that the sensor sends only on request"
+        )
     raise DeviceError(
-        f"{device} on {settings.port}: no answer to {request!r} in {_TRIES} tries. Is it a {dialect.sensors} at "
-        f"{settings.baud} baud, parity {settings.parity}, and does the line carry both directions?"
+        f"{device} on {settings.port}: no answer to {request!r} in {_TRIES} tries. Is it a {dialect.sensors} with "
+        f"output {settings.output} (of an HL-G1 its address), {settings.baud} baud, parity {settings.parity}, and does "
+        "the line carry both directions?"
     )

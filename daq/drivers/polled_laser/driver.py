@@ -47,16 +47,16 @@ class PolledLaserDriver(PlainDriver):
         from daq.drivers.polled_laser.stream import PolledPipeline
 
         (channel,) = self.channels(settings)
-        return PolledPipeline(device, settings, channel)
+        return PolledPipeline(device, settings, channel, identity)
 
     def poller(self, settings: PolledLaser, send: Callable[[bytes], None], clock: HostClock) -> Poller:
         """See AnswersOnRequest."""
         from daq.drivers.polled_laser import wire
+        from daq.drivers.polled_laser.poller import SensorPoller, Turns
         from daq.drivers.polled_laser.stream import LATEST_S
-        from daq.drivers.polling import Request, RequestLoop
 
-        data = wire.DIALECTS[settings.dialect].request(settings.output)
-        return RequestLoop(Request(lambda _: data, b"\r", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
+        turns = Turns(wire.DIALECTS[settings.dialect], settings.output)
+        return SensorPoller(turns, 1.0 / settings.rate_Hz, 2 * LATEST_S, send, clock)
 
     def far_end(self, device: str, settings: PolledLaser, world: Any) -> FarEnd:
         """See Driver."""

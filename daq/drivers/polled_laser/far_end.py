@@ -69,6 +69,8 @@ class SimulatedPolledLaser(FarEnd):
     def _answer(self, request: bytes, reading_m: float) -> bytes:
         if self._faults["refuses"] and self._settings.dialect != "HL-G1":
             return b"ER,%s,01\r" % request[:2]
+        if request == self._dialect.probe(self._settings.output):
+            return self._dialect.probe_answer(self._settings.output)
         half = 0.5 * self._settings.range_m
         value = reading_m / self._settings.metres_per_unit
         state = "nothing" if self._faults["blocked"] else ""

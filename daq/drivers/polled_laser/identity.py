@@ -10,12 +10,13 @@ from daq.drivers.polled_laser.settings import PolledLaser
 def identity_turns(settings: PolledLaser) -> IdentityTurns:
     """Request a value, which changes nothing in the sensor; it reports neither its model nor its serial number.
 
-    A refusal (`ER,…`) is not accepted: other devices answer unknown commands in similar ways.
+    A refusal (`ER,…`) is not accepted: other devices answer unknown commands in similar ways. Nor is an answer with
+    another end than the dialect's: an LK-G answers the IL's request too.
     """
     dialect = wire.DIALECTS[settings.dialect]
 
     def reading(data: bytes) -> wire.Reading | None:
-        lines = data.replace(b"\n", b"").split(b"\r")[:-1]
+        lines = data.split(dialect.end)[:-1] if dialect.end != b"\r" else data.replace(b"\n", b"").split(b"\r")[:-1]
         parsed = (dialect.parse(line, settings.output) for line in lines if len(line) <= wire.LONGEST_LINE_BYTES)
         return next((found for found in parsed if isinstance(found, wire.Reading)), None)
 
