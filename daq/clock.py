@@ -100,6 +100,10 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - an adapter that is known to return sent frames may return a heartbeat late;
     - late answers, missing status messages and every command of another node are events.
 
+    From 7 on:
+
+    - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor.
+
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
     """
