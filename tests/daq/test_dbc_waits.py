@@ -208,3 +208,16 @@ def test_a_silence_of_earlier_rules_is_a_fault() -> None:
     line = bus(timeout_s=0.5, identity={"clock_rules": 6})
     line.feed(RX, frame(1, 0), START_NS)
     assert kinds(line.feed(RX, b"\r", START_NS + 900 * MS)) == ["fault"]
+
+
+def test_what_a_host_reads_in_small_pieces_is_not_lost() -> None:
+    """After 0.1 s without a read, each read of 90 ms returns at most 107 frames."""
+    line = bus(8)
+    sent = [(ms, ms) for ms in range(4000)]
+    found = heard(line, sent[:2000], range(10, 2010, 10), 8)
+    at = 2000
+    for read_ms in range(2190, 4000, 90):
+        end = min(at + 107, read_ms)
+        text = b"".join(frame(number, ms, 8) for ms, number in sent[at:end])
+        found, at = found + line.feed(RX, text, START_NS + read_ms * MS), end
+    assert (line.losses["samples"], kinds(found)) == (0, [])

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 _WAIT_NS, _MOST_WAIT_NS = 120e6, 250e6  # until frames count as late for good; for frames that still catch up
 _LEAST_READS = 4
 _NEAR_NS = 5e6  # by which reads on a busy host differ
-_GROWTH = 0.2  # of lateness over time, above which no gap explains it
+_GROWTH = 0.5  # of lateness over time, above which no gap explains it
+_BUSY_NS = 20e6  # by which the least lateness of a few reads grows on a busy host
+_CAUGHT_UP = 0.25  # share of the lateness
 _SILENT = 0.8  # share of the lateness for which the sensor was silent before it
 _LEAK = 0.02  # rate at which the least delay may grow, above the error of a usual stated rate
 _MOST_LEAK_NS = 1e8  # of a time without frames
@@ -30,11 +32,13 @@ class LateGap:
         late_ns: lateness of the frames after it, if its counter did not begin again in it, ns.
         waited: number of waiting frames before the read in which it ended.
         silent_ns: time without a frame before it ended, ns.
+        spread_ns: difference of the least lateness of the earlier and the later reads, ns.
     """
 
     late_ns: float
     waited: int
     silent_ns: float
+    spread_ns: float
 
 
 @dataclass
@@ -55,6 +59,7 @@ class Lateness:
     _delay_ns: float = math.inf  # least delay of late
     _kept_ns: int = 0  # time of the newest read with a placed frame
     _read_ns: int = 0  # time of the newest read
+    _again: bool = False  # whether earlier late reads were discarded
     _waited: int = 0  # frames that waited before the first late read
     _reads: list[tuple[int, float]] = field(default_factory=list[tuple[int, float]])
     _jump_ns: int | None = None  # time of the first read that is kept back because of a jump at its end
@@ -81,7 +86,12 @@ class Lateness:
             return False
         if not self._reads and host_ns - self._kept_ns < _SILENT * late_ns:
             return False
-        if self._reads and silent_ns > _SILENT * (late_ns - self._reads[-1][1]) > _SILENT * self.least_ns:
+        if (
+            self._reads
+            and not self._again
+            and silent_ns > _SILENT * (late_ns - self._reads[-1][1]) > _SILENT * self.least_ns
+        ):
+            self._again = True
             self._reads.clear()  # those before were read while the gap lasted
         self._waited = self._waited if self._reads else frames[0]
         self._reads.append((host_ns, late_ns))
@@ -97,10 +107,12 @@ class Lateness:
         middle_ns = began_ns + passed_ns / 2
         first_ns = min(late_ns for at_ns, late_ns in self._reads if at_ns <= middle_ns)
         newest_ns = min(late_ns for at_ns, late_ns in self._reads if at_ns > middle_ns)
-        if newest_ns < first_ns - _NEAR_NS and passed_ns < _MOST_WAIT_NS:
-            return True
-        if newest_ns - first_ns < max(_GROWTH * passed_ns / 2, _NEAR_NS):
-            self.gap = LateGap(min(first_ns, newest_ns), self._waited, began_ns - self._kept_ns)
+        if newest_ns < first_ns - max(_NEAR_NS, _CAUGHT_UP * first_ns):  # what was kept back is still coming
+            return passed_ns < _MOST_WAIT_NS
+        if newest_ns - first_ns < max(_GROWTH * passed_ns / 2, _BUSY_NS):
+            self.gap = LateGap(
+                min(first_ns, newest_ns), self._waited, began_ns - self._kept_ns, abs(newest_ns - first_ns)
+            )
         return False
 
     def placed(self, delay_ns: float, host_ns: int) -> None:
@@ -109,7 +121,7 @@ class Lateness:
         self._delay_ns = min(self._delay_ns, delay_ns)
         self._kept_ns = host_ns
         self._reads.clear()
-        self._jump_ns = None
+        self._jump_ns, self._again = None, False
 
     def begin_again(self) -> None:
         """Discard the delays before a restart of the sensor."""

@@ -211,7 +211,7 @@ class Positions:
             return 0, False
         turns = max(0, round(late.late_ns / (self.wrap * self._unit_ns)))
         rest_ns = abs(late.late_ns - turns * self.wrap * self._unit_ns)
-        if rest_ns > _REST_NS + _LEAK * late.silent_ns:  # no cycle of the counter explains it
+        if rest_ns > _REST_NS + _LEAK * late.silent_ns + late.spread_ns:  # no cycle of the counter explains it
             return round(late.late_ns / self._unit_ns), True
         return turns * self.wrap, False
 
