@@ -109,6 +109,7 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - bytes of an optoNCDT sensor that never gave a block are counted.
     From 7 on, a polled displacement sensor's texts without a value are named by the code of the sample, more of them
     are read, its block checks are compared, and only refusals that last are a fault.
+    - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

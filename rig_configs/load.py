@@ -24,6 +24,10 @@ from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
 
+_OTHER_ENCODING = (
+    "cp1252"  # of files that are not UTF-8 and that devices name: programs for Windows write its code page
+)
+
 
 def shipped_rigs() -> list[str]:
     """Return the names of the rig files that come with the package."""
@@ -84,7 +88,7 @@ def _read_files(raw: dict[str, Any], source: str) -> None:
                 if text_key in table:
                     raise RigFileError(f"{place}: expected either a file or its text ({text_key}), got both")
                 try:
-                    table[text_key] = read_text(Path(source).parent / path)
+                    table[text_key] = read_text(Path(source).parent / path, other=_OTHER_ENCODING)
                 except OSError as error:
                     raise RigFileError(f"{place}: {path!r:.200} cannot be read as a text file: {error}") from error
 

@@ -16,12 +16,16 @@ _MAX_DEPTH = 50
 _OTHER_BOMS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, *, other: str | None = None) -> str:
     """Return a file's text without a byte order mark.
+
+    Args:
+        path: the file.
+        other: encoding of a file that is not UTF-8, as other programs write it.
 
     Raises:
         OSError: it cannot be read, or is not a regular file: a named pipe, a device.
-        RigFileError: it is not UTF-8 text, or too large.
+        RigFileError: it is not UTF-8 text nor in the other encoding, or too large.
     """
     need_regular(path)
     with open(path, "rb") as file:
@@ -31,6 +35,11 @@ def read_text(path: Path) -> str:
     try:
         return data.decode("utf-16" if data.startswith(_OTHER_BOMS) else "utf-8-sig")
     except UnicodeDecodeError as fault:
+        if other is not None:
+            try:
+                return data.decode(other)
+            except UnicodeDecodeError:  # usual: no text at all; the error names the first byte that is not UTF-8
+                pass
         raise RigFileError(f"{path}: cannot be read as a text file: {fault}; save it as UTF-8") from fault
 
 

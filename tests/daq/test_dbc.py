@@ -173,7 +173,9 @@ def test_multiplexed_quantities_have_the_signals_of_each_frame() -> None:
     np.testing.assert_allclose(batch.columns["head_degC"], [21.5, np.nan])
     np.testing.assert_allclose(batch.columns["board_degC"], [np.nan, -0.5])
     assert batches(line.feed(RX, encode(CanFrame(768, b"\x02\0\0\0")), 8 * MS), "can/temperatures") == []
-    assert kinds(line.feed(RX, b"\r", 600 * MS)) == ["fault"]  # the lasers have not sent either, for less than 1 s
+    foreign = encode(CanFrame(0x7E5, b"\x01"))
+    assert kinds(line.feed(RX, b"\r" + foreign, 400 * MS)) == []
+    assert kinds(line.feed(RX, foreign, 600 * MS)) == ["fault"]  # the lasers have not sent either, for less than 1 s
 
 
 # --- times and losses --------------------------------------------------------------------------------------------
@@ -272,9 +274,10 @@ def test_a_message_that_stops_is_reported_once_and_again_after_it_came() -> None
     other = frame("Status")
     line.feed(RX, x_frames(0, 1), 0)
     assert kinds(line.feed(RX, other, 500 * MS)) == []
-    assert kinds(line.feed(RX, other, 501 * MS)) == ["fault"]
+    assert kinds(line.feed(RX, other, 501 * MS)) == ["doubt"]
     assert kinds(line.feed(RX, other, 900 * MS)) == []
     line.feed(RX, x_frames(1, 1, 500), 950 * MS)
+    line.feed(RX, other, 1300 * MS)
     (event,) = [item for item in line.feed(RX, other, 1500 * MS) if isinstance(item, DeviceEvent)]
     assert "no frame of LaserX for 0.55 s" in event.text
 
@@ -357,7 +360,7 @@ def test_other_descriptions_pass_the_tests_of_drivers(case: rig_testing.Contract
     ("fault", "kind", "loss"),
     [
         ("dropped", "gap", "samples"),
-        ("silent", "fault", ""),
+        ("silent", "doubt", ""),
         ("blocked", "", "invalid"),
         ("short", "damage", "short_frames"),
         ("foreign", "", "foreign_frames"),
@@ -428,6 +431,26 @@ def test_a_rig_file_without_its_dbc_file_is_refused(tmp_path: Path) -> None:
         load_rig(file)
     file.write_text(both)
     with pytest.raises(RigFileError, match="got both"):
+        load_rig(file)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_a_dbc_file_has_the_encoding_of_the_program_that_wrote_it(tmp_path: Path, encoding: str) -> None:
+    """The usual editor of DBC files writes the code page of Windows."""
+    file = rig_file(tmp_path)
+    text = DBC.replace('"um"', '"µm"').replace("degC", "°C").replace("\n", "\r\n")
+    (tmp_path / "lasers.dbc").write_bytes(text.encode(encoding))
+    lasers = load_rig(file).devices["lasers"]
+    assert isinstance(lasers, CanSensors)
+    signals = lasers.message("LaserY").signals
+    assert lasers.y is not None
+    assert lasers.unit_m(lasers.y, signals["Distance"]) == 1e-6
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    file = rig_file(tmp_path)
+    (tmp_path / "lasers.dbc").write_bytes(b"\x81\x8d\xff\x00" * 10)
+    with pytest.raises(RigFileError, match="cannot be read as a text file"):
         load_rig(file)
 
 

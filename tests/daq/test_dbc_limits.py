@@ -125,13 +125,16 @@ def test_damaged_lines_are_counted_and_the_others_of_the_read_are_decoded() -> N
     assert line.losses == NO_LOSSES | {"damaged_lines": 3}
 
 
-def test_a_silence_is_reported_by_the_next_bytes_from_the_bus() -> None:
-    """An empty read and the host's own bytes are not from the bus."""
+def test_a_silence_is_reported_by_the_next_frame_from_the_bus() -> None:
+    """An empty read, the host's own bytes and the adapter's answers are not from the bus."""
     line = joined(timeout_s=0.5)
     line.feed(RX, laser_x(1) + laser_y(1), MS)
     assert line.feed(RX, b"", 900 * MS) == []
     assert line.feed(TX, laser_x(2), 900 * MS) == []
-    assert [kind for kind, *_ in events(line.feed(RX, b"\r", 900 * MS))] == ["fault", "fault"]
+    assert line.feed(RX, b"\r", 900 * MS) == []
+    foreign = encode(CanFrame(0x7E5, b"\x01"))
+    assert line.feed(RX, foreign, 400 * MS) == []
+    assert [kind for kind, *_ in events(line.feed(RX, foreign, 900 * MS))] == ["doubt", "doubt"]
 
 
 @pytest.mark.parametrize(("without", "seeded"), [(("y",), True), ((), False)])

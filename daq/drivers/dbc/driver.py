@@ -13,6 +13,7 @@ from daq.drivers.dbc.example import SETTINGS
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.plain import PlainDriver
 from daq.drivers.simulated import FarEnd
+from daq.drivers.stream_stop import stop_stream
 
 _ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
 _BIT_RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
@@ -80,6 +81,9 @@ class DbcDriver(PlainDriver):
 
     def open(self, device: str, settings: CanSensors, talk: Talk) -> dict[str, Any]:
         """See Driver; sensors that are described by a DBC file alone cannot be queried."""
+        if not settings.port.startswith("can:"):  # a bus of python-can holds no old frames
+            stop_stream(talk, b"\rC\r")
+            talk.restart_decoding()
         talk.send(b"\rC\r" + _BIT_RATES[settings.bitrate] + b"\rO\r")
         digest = hashlib.sha256(settings.dbc_text.encode()).hexdigest()
         return {"driver": self.name, "port": settings.port, "bitrate": settings.bitrate, "dbc_sha256": digest}

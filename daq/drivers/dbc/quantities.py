@@ -17,6 +17,7 @@ class QuantityStream:
 
     Attributes:
         message: its message.
+        watch: watch of its silence.
     """
 
     def __init__(self, device: str, settings: CanSensors, name: str, channel: Channel) -> None:
@@ -25,11 +26,7 @@ class QuantityStream:
         self._channel, self._number = channel, 0
         self._signals = {field: self.message.signals[signal] for field, signal in table.fields.items()}
         self._invalid = {field: settings.invalid_raw(table.invalid, signal) for field, signal in self._signals.items()}
-        self._watch = SilenceWatch(device, f"{self.message.name} (can/{name})", table.timeout_s)
-
-    def silence(self, host_ns: int) -> list[DeviceEvent]:
-        """Return the event about frames that have stopped."""
-        return self._watch.tick(host_ns)
+        self.watch: SilenceWatch = SilenceWatch(device, f"{self.message.name} (can/{name})", table.timeout_s)
 
     def feed(self, data: NDArray[np.uint8], host_ns: int) -> list[Batch | DeviceEvent]:
         """Decode frames of the message, shape (n, 8)."""
@@ -47,4 +44,4 @@ class QuantityStream:
         self._number += count
         rows = {field: values[seen] for field, values in columns.items()}
         batch = Batch(self._channel, np.full(count, host_ns, np.int64), sequence, rows)
-        return [*self._watch.heard(host_ns), batch]
+        return [*self.watch.heard(host_ns), batch]

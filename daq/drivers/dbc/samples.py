@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
+from daq.drivers.dbc.layouts import FRAME_BYTES, MessageLayout, SignalLayout
 from daq.drivers.dbc.positions import Placed, Positions, Stamps
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
 
+NEW_RULES = 7
+"""Rules from which frames wait that their number alone does not place, and a silent bus is no silent sensor."""
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -31,6 +33,7 @@ class LaserStream:
 
     Attributes:
         message: its message.
+        watch: watch of its silence.
     """
 
     def __init__(
@@ -49,13 +52,18 @@ class LaserStream:
         self._period_ns = 1e9 / table.rate_Hz
         self._tolerance_ppm, self._rules = table.clock_tolerance_ppm, clock[0]
         self._clock = ClockMap(self._tolerance_ppm, self._rules, clock[1])
-        self._frames = Positions(self._period_ns, group.counter.bits.length, 1.0) if group.counter else None
+        ahead = self._rules >= NEW_RULES and group.timestamp is None
+        self._frames = (
+            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead) if group.counter else None
+        )
+        self._waiting = np.zeros((0, FRAME_BYTES), np.uint8)  # frames that are not placed yet
         self._times = (
             Positions(group.tick_ns, group.timestamp.bits.length, self._period_ns / group.tick_ns)
             if group.timestamp
             else None
         )
-        self._watch = SilenceWatch(device, self.message.name, settings.timeout_s)
+        kind = "doubt" if self._rules >= NEW_RULES else "fault"  # silent displacements are an interlock of the host
+        self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, kind)
         self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one
 
     @property
@@ -65,19 +73,21 @@ class LaserStream:
             return self._clock.seed(round(self._times.wrap * self._group.tick_ns))
         return None if self._frames is None else self._clock.seed(round(self._frames.wrap * self._period_ns))
 
-    def silence(self, host_ns: int) -> list[DeviceEvent]:
-        """Return the event about frames that have stopped."""
-        return self._watch.tick(host_ns)
-
     def feed(self, data: NDArray[np.uint8], host_ns: int) -> Items:
         """Decode frames of the message, shape (n, 8)."""
         there = self._lasers[0].signal.present(data)
         data = data if bool(there.all()) else data[there]
         if not len(data):
             return []
-        out: Items = [*self._watch.heard(host_ns)]
+        out: Items = [*self.watch.heard(host_ns)]
         number = device = None
         if self._frames is not None and self._group.counter is not None:
+            new = len(data)
+            data = np.concatenate([self._waiting, data]) if len(self._waiting) else data
+            undecided = self._frames.undecided(self._group.counter.raw(data), new, host_ns)
+            self._waiting = data if undecided else data[:0]
+            if undecided:
+                return out
             number = self._frames.feed(self._group.counter.raw(data), host_ns, self._stamps(data))
             out += self._events(number)
             data = data[number.kept]

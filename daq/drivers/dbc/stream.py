@@ -16,7 +16,7 @@ from daq.channels import Channel
 from daq.clock import ClockSeed, clock_rules
 from daq.drivers.dbc.layouts import MessageLayout
 from daq.drivers.dbc.quantities import QuantityStream
-from daq.drivers.dbc.samples import LaserStream
+from daq.drivers.dbc.samples import NEW_RULES, LaserStream
 from daq.drivers.dbc.settings import CanSensors
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.slcan import FrameBlock, LineDecoder, first_line_end
@@ -45,6 +45,8 @@ class CanPipeline:
         groups = settings.groups()
         seed = ClockSeed.of(identity) if len(groups) == 1 else None
         rules = clock_rules(identity)
+        self._bus_counts = rules >= NEW_RULES
+        self._bus_ns: int | None = None  # time of the newest frame
         self._lasers = [LaserStream(device, settings, group, by_topic, (rules, seed), self.losses) for group in groups]
         others = [QuantityStream(device, settings, name, by_topic[f"can/{name}"]) for name in settings.quantities]
         self._streams: dict[tuple[int, bool], list[LaserStream | QuantityStream]] = {}
@@ -69,10 +71,15 @@ class CanPipeline:
             self.losses["damaged_lines"] += block.damaged
             text = f"{block.damaged} damaged lines dropped"
             out.append(DeviceEvent("damage", self._device, text, {"lines": block.damaged}))
+        if self._bus_counts and not len(block):  # answers of the adapter do not show that the bus carries frames
+            return out
+        watches = [stream.watch for streams in self._streams.values() for stream in streams]
+        for watch in watches if self._bus_counts and self._bus_ns is not None else ():
+            watch.bus_back(host_ns, self._bus_ns or 0)
+        self._bus_ns = host_ns
         self._taken(block, host_ns, out)
-        for streams in self._streams.values():
-            for stream in streams:
-                out += stream.silence(host_ns)
+        for watch in watches:
+            out += watch.tick(host_ns)
         return out
 
     def _taken(self, block: FrameBlock, host_ns: int, out: Items) -> None:

@@ -1,0 +1,223 @@
+"""Sensors on CAN whose counter alone does not place a frame: gaps of whole cycles, late reads, restarts in a gap."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from daq.drivers.dbc.driver import DRIVER
+from daq.drivers.dbc.settings import CanSensors
+from daq.drivers.dbc.stream import CanPipeline
+from daq.items import RX, Batch, DeviceEvent
+from daq.transports.slcan import CanFrame, encode
+
+MS = 1_000_000
+START_NS = 1_700_000_000_000_000_000
+OTHER = encode(CanFrame(0x300, b"\x01"))
+DBC = (
+    'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: N\n\nBO_ 257 LaserX: 4 N\n SG_ Dist : 0|16@1- (0.001,0) [0|0] "mm" N\n'
+    ' SG_ Count : 16|4@1+ (1,0) [0|0] "" N\n'
+)
+X = {"message": "LaserX", "signal": "Dist", "counter": "Count", "rate_Hz": 1000.0, "range_m": 0.1}
+Items = list[Batch | DeviceEvent]
+Sent = list[tuple[int, int]]  # frames of the sensor: time, ms, and number
+
+
+def bus(bits: int = 4, identity: dict[str, Any] | None = None, **changes: Any) -> CanPipeline:
+    """One laser at 1 kHz with a counter of these bits and no timestamp."""
+    text = DBC.replace("16|4@", f"16|{bits}@")
+    table = {"driver": "dbc", "port": "p", "bitrate": 1_000_000, "dbc_text": text, "x": X, **changes}
+    found = DRIVER.pipeline("bus", CanSensors.model_validate(table), identity or {})
+    assert isinstance(found, CanPipeline)
+    assert found.feed(RX, b"\r", START_NS) == []
+    return found
+
+
+def frame(number: int, millisecond: int, bits: int = 4) -> bytes:
+    """The displacement in µm is the millisecond at which the frame was sent."""
+    data = (millisecond % 20_000).to_bytes(2, "little") + (number % 2**bits).to_bytes(2, "little")
+    return encode(CanFrame(0x101, data))
+
+
+def heard(line: CanPipeline, sent: Sent, reads_ms: Iterable[int], bits: int = 4) -> Items:
+    """Feed the frames that were sent before each of these times."""
+    out: Items = []
+    at = 0
+    for read_ms in reads_ms:
+        first = at
+        while at < len(sent) and sent[at][0] < read_ms:
+            at += 1
+        text = b"".join(frame(number, ms, bits) for ms, number in sent[first:at])
+        out += line.feed(RX, text, START_NS + read_ms * MS) if text else []
+    return out
+
+
+def errors_ms(items: Items) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return how much later than sent the samples are, ms."""
+    found = [item for item in items if isinstance(item, Batch)]
+    times = np.concatenate([batch.time_ns for batch in found]) - START_NS
+    sent = np.rint(np.concatenate([batch.columns["displacement_m"] for batch in found]) * 1e6)
+    return times / MS - sent
+
+
+def kinds(items: Items) -> list[str]:
+    return [item.kind for item in items if isinstance(item, DeviceEvent)]
+
+
+def with_gap(lost: int, *, restarts: bool = False) -> Sent:
+    before = [(ms, ms) for ms in range(2000)]
+    return before + [(ms, ms - (2000 + lost if restarts else 0)) for ms in range(2000 + lost, 4000 + lost)]
+
+
+@pytest.mark.parametrize("every_ms", [3, 10, 44])
+@pytest.mark.parametrize(("bits", "lost"), [(4, 15), (4, 16), (4, 33), (4, 400), (8, 256), (8, 600), (4, 2000)])
+def test_a_gap_of_more_than_a_cycle_is_counted_and_the_times_after_it_are_right(
+    bits: int, lost: int, every_ms: int
+) -> None:
+    line = bus(bits, timeout_s=10.0)
+    found = heard(line, with_gap(lost), range(every_ms, 4000 + lost, every_ms), bits)
+    assert (line.losses["samples"], kinds(found)) == (lost, ["gap"])
+    wrong = np.abs(errors_ms(found)) > 3.0
+    assert np.count_nonzero(wrong) <= every_ms  # where in a read whole cycles are missing is not known
+    assert len(wrong) > 3700
+
+
+def test_a_log_of_earlier_rules_is_decoded_as_before() -> None:
+    line = bus(identity={"clock_rules": 6})
+    found = heard(line, with_gap(16), range(10, 4000, 10))
+    assert (line.losses["samples"], kinds(found)) == (0, [])
+
+
+def test_frames_that_a_busy_host_reads_late_are_not_lost() -> None:
+    """All bytes of 0.4 s come at once, in reads of 30 frames."""
+    line = bus()
+    sent = [(ms, ms) for ms in range(4000)]
+    found = heard(line, sent[:2000], range(10, 2010, 10))
+    for at in range(2000, 2400, 30):
+        text = b"".join(frame(number, ms) for ms, number in sent[at : min(at + 30, 2400)])
+        found += line.feed(RX, text, START_NS + 2400 * MS + at)
+    found += heard(line, sent[2400:], range(2410, 4000, 10))
+    assert (line.losses["samples"], kinds(found)) == (0, [])
+    assert np.abs(errors_ms(found)).max() < 3.0
+
+
+def test_a_sensor_slower_than_stated_loses_nothing() -> None:
+    line = bus()
+    sent = [(int(number * 1.015), number) for number in range(4000)]
+    found = heard(line, sent, range(10, 4000, 10))
+    assert (line.losses["samples"], kinds(found)) == (0, [])
+
+
+def test_a_restart_in_a_gap_is_seen_and_the_times_after_it_are_right() -> None:
+    line = bus(8)
+    found = heard(line, with_gap(499, restarts=True), range(10, 4400, 10), 8)
+    assert kinds(found) == ["gap", "restart"]
+    assert abs(line.losses["samples"] - 499) <= 2
+    assert np.abs(errors_ms(found)).max() < 3.0
+    (gap,) = (item for item in found if isinstance(item, DeviceEvent) and item.kind == "gap")
+    assert gap.facts["uncertain_samples"] == gap.facts["samples"]
+    assert gap.text.startswith("about ")
+
+
+@pytest.mark.parametrize("every_ms", [1, 10])
+@pytest.mark.parametrize("wrong", [4, 7, 250])
+def test_one_damaged_number_is_no_restart(wrong: int, every_ms: int) -> None:
+    line = bus(8)
+    sent = [(ms, ms + (wrong if ms == 2009 else 0)) for ms in range(4000)]
+    found = heard(line, sent, range(every_ms, 4000, every_ms), 8)
+    assert "restart" not in kinds(found)
+    assert (line.losses["doubtful_frames"], line.losses["samples"]) == (1, 1)
+    assert np.abs(errors_ms(found)).max() < 3.0
+
+
+def test_a_counter_that_stood_still_is_followed_by_right_times() -> None:
+    line = bus(8)
+    sent = [(ms, 2000 if 2000 < ms < 3500 else ms) for ms in range(5000)]
+    found = heard(line, sent, range(10, 5000, 10), 8)
+    assert set(kinds(found)) == {"damage", "gap"}
+    assert np.abs(errors_ms(found)).max() < 3.0
+
+
+def test_jumps_in_every_frame_do_not_keep_samples_back() -> None:
+    line = bus(8)
+    sent = [(ms, ms) for ms in range(0, 4000, 2)]
+    found = heard(line, sent, range(2, 3400, 2), 8)
+    assert sum(len(item.time_ns) for item in found if isinstance(item, Batch)) > 1500
+
+
+class OpenAdapter:
+    """An adapter that an earlier session left open: it sends its old frames for 0.3 s after the bus was closed."""
+
+    def __init__(self) -> None:
+        self.clock = self
+        self.heard: list[bytes] = []
+        self.bytes_in = 0
+        self.joined_after: int | None = None
+        self._now_s = 0.0
+
+    def wall_s(self) -> float:
+        return self._now_s
+
+    def wait(self, seconds: float) -> None:
+        self._now_s += seconds
+        self.bytes_in += 100 if self._now_s < 0.3 else 0
+
+    def send(self, data: bytes) -> None:
+        self.heard += data.split(b"\r")
+
+    def restart_decoding(self) -> None:
+        self.joined_after = self.bytes_in
+
+
+@pytest.mark.parametrize(("port", "old"), [("p", True), ("can:socketcan:can0", False)])
+def test_frames_that_an_adapter_holds_from_an_earlier_session_are_not_recorded(port: str, old: bool) -> None:
+    adapter = OpenAdapter()
+    table = {"driver": "dbc", "port": port, "bitrate": 1_000_000, "dbc_text": DBC, "x": X}
+    DRIVER.open("bus", CanSensors.model_validate(table), cast(Any, adapter))
+    assert [word for word in adapter.heard if word][-3:] == [b"C", b"S8", b"O"]
+    assert adapter.joined_after == (adapter.bytes_in if old else None)
+    assert (adapter.wall_s() > 0.3) == old
+
+
+def test_answers_of_an_adapter_do_not_show_that_the_bus_carries_frames() -> None:
+    line = bus(timeout_s=0.5)
+    line.feed(RX, frame(1, 0), START_NS)
+    assert line.feed(RX, b"\r\r\x07", START_NS + 900 * MS) == []
+
+
+def test_a_bus_that_was_silent_as_a_whole_gives_the_sensor_time_to_come_back() -> None:
+    line = bus(timeout_s=0.5)
+    line.feed(RX, frame(1, 0), START_NS)
+    assert line.feed(RX, OTHER, START_NS + 900 * MS) == []
+    assert line.feed(RX, OTHER, START_NS + 1_300 * MS) == []
+    assert kinds(line.feed(RX, OTHER, START_NS + 1_500 * MS)) == ["doubt"]
+
+
+def test_slow_frames_of_others_do_not_hide_a_silent_sensor() -> None:
+    line = bus(timeout_s=0.5)
+    line.feed(RX, frame(1, 0), START_NS)
+    found = [line.feed(RX, OTHER, START_NS + ms * MS) for ms in range(600, 3000, 600)]
+    assert kinds(list(itertools.chain(*found))) == ["doubt"]
+
+
+def test_a_silence_of_earlier_rules_is_a_fault() -> None:
+    line = bus(timeout_s=0.5, identity={"clock_rules": 6})
+    line.feed(RX, frame(1, 0), START_NS)
+    assert kinds(line.feed(RX, b"\r", START_NS + 900 * MS)) == ["fault"]
+
+
+def test_what_a_host_reads_in_small_pieces_is_not_lost() -> None:
+    """After 0.1 s without a read, each read of 90 ms returns at most 107 frames."""
+    line = bus(8)
+    sent = [(ms, ms) for ms in range(4000)]
+    found = heard(line, sent[:2000], range(10, 2010, 10), 8)
+    at = 2000
+    for read_ms in range(2190, 4000, 90):
+        end = min(at + 107, read_ms)
+        text = b"".join(frame(number, ms, 8) for ms, number in sent[at:end])
+        found, at = found + line.feed(RX, text, START_NS + read_ms * MS), end
+    assert (line.losses["samples"], kinds(found)) == (0, [])
