@@ -100,6 +100,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - an adapter that is known to return sent frames may return a heartbeat late;
     - late answers, missing status messages and every command of another node are events.
 
+    From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device.
+
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -12,11 +13,13 @@ import pytest
 from daq.acquisition.session import Session
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.far_end import SimulatedLabJack
+from daq.drivers.labjack.stream import LabJackPipeline
 from daq.items import RX, TX, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from rig_configs import load_rig
+from rig_testing.bench import Items
 from tests.daq.test_labjack import (
     LASERS,
     OWN,
@@ -32,6 +35,8 @@ from tests.daq.test_labjack import (
 )
 
 OTHER = {"quantity": "acceleration_m_per_s2", "per_V": 10.0}
+THREE = {"others": {"a": {"input": "AIN3", **OTHER}}}  # three inputs with the two lasers
+LASER_TOPICS = ("laser/x", "laser/y")
 REFUSAL = bytes.fromhex("8000 0000 0003 01 cc 04")
 
 
@@ -111,6 +116,77 @@ def test_answers_of_whole_scans_are_dropped_until_their_place_in_the_buffer_is_c
     items = [made.feed(RX, answer(0x8000 + number, [40000, 41000], 6), START) for number in range(21)]
     assert [len(each) for each in items] == [0] * 20 + [2]
     assert made.losses["samples"] == 0
+
+
+def read_samples(made: LabJackPipeline, taken: Sequence[tuple[int, int]]) -> Items:
+    """Feed answers with these samples of one endless stream, which are (first, last + 1), and the rest that waits."""
+    items: Items = []
+    for number, (first, end) in enumerate(taken):
+        scans = 20 * (number + 1)
+        codes = [10_000 * (1 + at % 3) + at // 3 % 5000 for at in range(first, end)]
+        items += made.feed(RX, answer(0x8000 + number, codes, 2 * (3 * scans - end)), START + scans * 250_000)
+    return items
+
+
+def test_a_sample_that_another_program_has_read_does_not_exchange_the_inputs() -> None:
+    """60 samples an answer; from sample 1800 on one is missing, and the answers end within a scan."""
+    taken = [(60 * each, 60 * each + 60) for each in range(30)]
+    stolen = [(1801, 1860), *((60 * each, 60 * each + 60) for each in range(31, 50))]
+    made = pipeline(**THREE)
+    items = read_samples(made, taken + stolen)
+    codes = {
+        topic: np.concatenate([batch.columns["code"] for batch in batches(items, topic)]) for topic in LASER_TOPICS
+    }
+    assert [np.unique(each // 10_000).tolist() for each in codes.values()] == [[1], [2]]
+    damage, gap = events(items)
+    assert (damage.kind, gap.kind, damage.facts["samples"]) == ("damage", "gap", 179)
+    assert "another program" in damage.text
+    assert numbers(items) == [*range(600), *range(600 + gap.facts["samples"], 1000)]
+    assert codes["laser/x"].tolist() == [10_000 + number for number in numbers(items)]
+    assert made.losses["samples"] == gap.facts["samples"]
+
+
+def test_by_older_rules_the_number_that_waits_is_no_check() -> None:
+    taken = [(60 * each, 60 * each + 60) for each in range(30)]
+    made = pipeline({"clock_rules": 6}, **THREE)
+    items = read_samples(made, [*taken, (1801, 1860), (1860, 1920), (1920, 1980)])
+    assert not events(items)
+    assert numbers(items) == [*range(659)]
+
+
+@pytest.mark.parametrize("waiting", [1, 2])
+def test_an_answer_during_a_scan_is_no_sign_of_missing_samples(waiting: int) -> None:
+    """The device has stored one or two samples of a scan when it answers: the answer is decoded with the next one."""
+    made, usual = pipeline(**THREE), pipeline(**THREE)
+    for number in range(40):
+        codes = [40000, 41000, 42000] * 20
+        at, within = START + (number + 1) * 5_000_000, waiting if number == 30 else 0
+        found = made.feed(RX, answer(0x8000 + number, codes, 2 * within), at)
+        wanted = usual.feed(RX, answer(0x8000 + number, codes), at)
+        assert not events(found)
+        assert numbers(found) == {30: [], 31: [*range(600, 640)]}.get(number, numbers(wanted))
+    assert made.losses["samples"] == 0
+
+
+def test_a_device_that_often_answers_during_a_scan_is_not_doubted() -> None:
+    made = pipeline(**THREE)
+    for number in range(60):
+        codes = [40000, 41000, 42000] * 20
+        found = made.feed(RX, answer(0x8000 + number, codes, 2 * (number % 3)), START + (number + 1) * 5_000_000)
+        assert len(numbers(found)) == 20
+    assert made.losses["samples"] == 0
+
+
+def test_a_new_start_ends_the_doubt_about_answers() -> None:
+    made = pipeline(**THREE)
+    read_samples(made, [*((60 * each, 60 * each + 60) for each in range(30)), (1801, 1860)])
+    made.feed(TX, start_command(9), START + 30 * 5_000_000)
+    made.feed(RX, start_answer(9), START + 31 * 5_000_000)
+    items = made.feed(RX, answer(0x8050, [40000, 41000, 42000] * 20), START + 40 * 5_000_000)
+    (gap,) = events(items)
+    assert gap.kind == "gap"
+    (batch,) = batches(items, "laser/x")
+    assert np.unique(batch.columns["code"]).tolist() == [40000]
 
 
 def test_bytes_of_a_message_that_began_before_the_log_are_no_damage() -> None:

@@ -31,6 +31,7 @@ _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
+_PLACE_RULES = 7  # from which the place of the samples is compared with the number that waits
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
 _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
@@ -77,6 +78,7 @@ class LabJackPipeline:
         self._newest: tuple[int, int] | None = None  # its host time, and its backlog in scans
         self._scan_ns: int | None = None  # time of the newest scan
         self._standing: set[str] = set()  # conditions that were reported and have not ended
+        self._held: list[tuple[int, wire.StreamRead, int]] = []  # answers whose place is doubted, as of `_decoded`
 
     def _new_clock(self) -> ClockMap:
         return ClockMap(self._settings.clock_tolerance_ppm, self._rules)
@@ -113,6 +115,7 @@ class LabJackPipeline:
         if message.function == wire.FEEDBACK:
             self._started_ns = self._start[1]
             self._cutter.begin()
+            self._held = []
         self._start = None
 
     def _refused(self, message: wire.Message) -> Items:
@@ -148,7 +151,37 @@ class LabJackPipeline:
             self.losses["bytes"] += len(message.body)
             text = f"the answer to a stream read has {len(message.body)} bytes, fewer than it states"
             return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
-        out, scans = self._next_scans(message.number, read, host_ns)
+        answer = message.number, read, host_ns
+        if self._is_doubted(message.number, read):
+            self._held.append(answer)
+            return self._misplaced(answer) if self._cutter.is_contradicted else []
+        held, self._held = self._held, []
+        return [item for each in (*held, answer) for item in self._decoded(*each)]
+
+    def _is_doubted(self, number: int, read: wire.StreamRead) -> bool:
+        """Return whether an answer must be held; see ScanCutter. Answers missing before it are known to be missing."""
+        newest = self._held[-1][0] if self._held else self._number
+        follows = newest is not None and (number - newest) % wire.FIRST_STREAM_ID == 1
+        if self._rules < _PLACE_RULES or self._started_ns is not None or not follows:
+            return False
+        return self._cutter.doubts(len(read.samples), read.backlog_bytes // 2)
+
+    def _misplaced(self, newest: tuple[int, wire.StreamRead, int]) -> Items:
+        """Return the event about answers whose samples belong to other inputs, and the samples of the newest one.
+
+        The answers before it are dropped; the scans lost with them are estimated, as those of missing answers.
+        """
+        dropped, self._held = self._held[:-1], []
+        samples = sum(len(read.samples) for _, read, _ in dropped)
+        text = (
+            f"its samples do not begin with the first input any more: samples are missing without a report (another "
+            f"program reads the stream). {samples} samples whose inputs are not certain were dropped"
+        )
+        return [DeviceEvent("damage", self._device, text, {"samples": samples}), *self._decoded(*newest)]
+
+    def _decoded(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
+        """Return the events and samples of an answer; the answers that may be missing before it are looked for."""
+        out, scans = self._next_scans(number, read, host_ns)
         out += self._state(read)
         if scans is None:
             return out
