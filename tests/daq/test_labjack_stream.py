@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from daq.acquisition.session import Session
+from daq.drivers.contract import NoticesLostSetUp
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.far_end import SimulatedLabJack
 from daq.drivers.labjack.stream import LabJackPipeline
@@ -337,6 +338,38 @@ def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_pa
         assert gap["samples"] / 4000.0 == pytest.approx(float(np.max(steps)), abs=0.01)
         assert float(np.max(steps)) > 2.0
         assert (opened.end_ns - found.time_ns[-1]) * 1e-9 < 0.2
+
+
+@pytest.mark.parametrize(("rate_Hz", "said"), [(1000, "1000 Hz instead of 4000"), (8000, "8000 Hz instead of 4000")])
+def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, said: str) -> None:
+    """From the 100th answer on the scans come at another rate. The device must be set up again."""
+    made = pipeline()
+    at = START
+    for number in range(1000):
+        count = 40 if number < 100 else rate_Hz // 100
+        at += 10_000_000
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * count), at)
+        if at - START <= 4 * S:
+            assert not made.set_up_lost
+    assert isinstance(made, NoticesLostSetUp)
+    assert said in made.set_up_lost
+    assert "another program" in made.set_up_lost
+    made.feed(TX, start_command(9), at)
+    made.feed(RX, start_answer(9), at)
+    assert not made.set_up_lost
+
+
+def test_late_answers_missing_answers_and_skipped_scans_are_no_other_rate() -> None:
+    """The network is 0.3 s late for some seconds, answers are missing, and the buffer overflows."""
+    made = pipeline()
+    number, at = 0, START
+    for second in range(12):
+        for part in range(20):
+            number += 1 + (second == 4)
+            at = START + second * S + part * 50_000_000 + (300_000_000 if 6 <= second < 8 else 0)
+            full = second == 9
+            made.feed(RX, answer(0x8000 + number, [40000, 41000] * (20 if full else 200), 0, 2940 if full else 0), at)
+            assert not made.set_up_lost
 
 
 # --- the clock --------------------------------------------------------------------------------------------------------

@@ -18,6 +18,11 @@ _MAX_DOUBTED = 3
 Counts = NDArray[np.uint16]
 
 
+def have_no_value(scans: Counts) -> NDArray[np.bool_]:
+    """Return for each scan whether it has no value at any input, like the scan that stands for skipped ones."""
+    return np.all(scans == NO_VALUE, axis=1)
+
+
 class ScanCutter:
     """Cuts the samples of consecutive answers into scans.
 

@@ -7,6 +7,7 @@ stream that the host started again, leave an unknown number of scans out: it is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
@@ -19,7 +20,8 @@ from daq.channels import Channel
 from daq.clock import AGE_RULES, ClockMap, clock_rules
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
-from daq.drivers.labjack.scans import Counts, ScanCutter
+from daq.drivers.labjack.pace import PaceWatch
+from daq.drivers.labjack.scans import Counts, ScanCutter, have_no_value
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.volts import VoltScale, nominal
 from daq.items import TX, Batch, DeviceEvent
@@ -30,10 +32,10 @@ BUFFER_BYTES = 32_768
 _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
+_INPUT_NS = 10_000  # from one input of a scan to the next, about
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
 _PLACE_RULES = 7  # from which the place of the samples is compared with the number that waits
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
-
 _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
 Items = list[Batch | DeviceEvent]
@@ -64,6 +66,7 @@ class LabJackPipeline:
         self._inputs = len(settings.scan_list)
         self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns)
         self._decoder = wire.MessageDecoder()
+        self._pace = PaceWatch(1e9 / self._period_ns)
         self._rules = clock_rules(identity)
         self._clock = self._new_clock()
         self._has_learned = False  # whether the clock's map has seen a read whose age is known
@@ -79,6 +82,20 @@ class LabJackPipeline:
         self._scan_ns: int | None = None  # time of the newest scan
         self._standing: set[str] = set()  # conditions that were reported and have not ended
         self._held: list[tuple[int, wire.StreamRead, int]] = []  # answers whose place is doubted, as of `_decoded`
+
+    @property
+    def set_up_lost(self) -> str:
+        """See NoticesLostSetUp."""
+        return self._pace.wrong
+
+    @set_up_lost.setter
+    def set_up_lost(self, sign: str) -> None:
+        self._pace.wrong = sign
+
+    @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError. The inputs of a scan are read one after the other, but have the same time."""
+        return math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
 
     def _new_clock(self) -> ClockMap:
         return ClockMap(self._settings.clock_tolerance_ppm, self._rules)
@@ -115,6 +132,7 @@ class LabJackPipeline:
         if message.function == wire.FEEDBACK:
             self._started_ns = self._start[1]
             self._cutter.begin()
+            self._pace.begin()
             self._held = []
         self._start = None
 
@@ -173,10 +191,8 @@ class LabJackPipeline:
         """
         dropped, self._held = self._held[:-1], []
         samples = sum(len(read.samples) for _, read, _ in dropped)
-        text = (
-            f"its samples do not begin with the first input any more: samples are missing without a report (another "
-            f"program reads the stream). {samples} samples whose inputs are not certain were dropped"
-        )
+        text = f"samples are missing within a scan, without a report (another program reads the stream): {samples} "
+        text += "samples whose inputs are not certain were dropped"
         return [DeviceEvent("damage", self._device, text, {"samples": samples}), *self._decoded(*newest)]
 
     def _decoded(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
@@ -186,22 +202,26 @@ class LabJackPipeline:
         if scans is None:
             return out
         ended, self._ended = self._ended or (read if read.status in _ENDED else None), None
-        sent_ns = host_ns - round(read.backlog_bytes // (2 * self._inputs) * self._period_ns)
+        waiting = read.backlog_bytes // (2 * self._inputs)
+        sent_ns = host_ns - round(waiting * self._period_ns)
         self._skips |= read.status == wire.Status.RECOVERING
         if ended is not None:
             self._skips = True
-            empty = np.flatnonzero(_have_no_value(scans))
+            empty = np.flatnonzero(have_no_value(scans))
             if len(empty) or not self._cutter.begins_without_value:
                 at = int(empty[0]) if len(empty) else 0
                 out += self._scans(scans[:at], sent_ns)
                 self._skips = False
-                waiting = len(scans) - at + read.backlog_bytes // (2 * self._inputs)
-                out += self._skipped(ended, host_ns, waiting)
+                out += self._skipped(ended, host_ns, len(scans) - at + waiting)
                 scans = scans[at + bool(len(empty)) :]
             else:  # the rest of the separator comes with the next answer
                 self._ended = ended
         out += self._scans(scans, sent_ns)
-        self._newest = host_ns, read.backlog_bytes // (2 * self._inputs)
+        self._newest = host_ns, waiting
+        if self._skips:
+            self._pace.pause()
+        else:
+            self._pace.add(self._next + waiting, host_ns)
         return out
 
     def _next_scans(self, number: int, read: wire.StreamRead, host_ns: int) -> tuple[Items, Counts | None]:
@@ -298,6 +318,7 @@ class LabJackPipeline:
 
     def _lost(self, lost: int, text: str, **facts: int) -> DeviceEvent:
         self._advance(lost)
+        self._pace.pause()
         self._clock, self._has_learned = self._new_clock(), False
         span = lost * self._period_ns * 1e-9
         return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, **facts})
@@ -363,7 +384,7 @@ class LabJackPipeline:
         self, scans: Counts, volts: Mapping[str, NDArray[np.float64]], number: NDArray[np.int64], time_ns: NDArray[Any]
     ) -> Items:
         """Return the index marks. Scans without any value have no state of the tachometer: no edge is found there."""
-        empty = _have_no_value(scans) if self._inputs > 1 else np.zeros(len(scans), np.bool_)
+        empty = have_no_value(scans) if self._inputs > 1 else np.zeros(len(scans), np.bool_)
         text = "scans without a value at any input (FFFFh), and no number of skipped scans"
         out = self._reported("empty", bool(empty.any()), "damage", text, samples=int(np.count_nonzero(empty)))
         tacho = self._settings.tacho
@@ -377,8 +398,3 @@ class LabJackPipeline:
             else:
                 out += self._marks.feed(signal[start:end], number[start:end], time_ns[start:end])
         return out
-
-
-def _have_no_value(scans: Counts) -> NDArray[np.bool_]:
-    """Return for each scan whether it has no value at any input, like the scan that stands for skipped ones."""
-    return np.all(scans == wire.NO_VALUE, axis=1)
