@@ -340,6 +340,18 @@ def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_pa
         assert (opened.end_ns - found.time_ns[-1]) * 1e-9 < 0.2
 
 
+@pytest.mark.parametrize(("rules", "lost"), [(7, 1200), (6, 0)])
+def test_scans_of_an_answer_missing_after_a_late_one_are_all_counted(rules: int, lost: int) -> None:
+    """The 100th answer is 0.3 s late, the one with the scans of these 0.3 s is missing."""
+    made = pipeline({"clock_rules": rules})
+    for number in range(99):
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * 40), START + (number + 1) * 10_000_000)
+    made.feed(RX, answer(0x8063, [40000, 41000] * 40), START + 1_300_000_000)
+    items = made.feed(RX, answer(0x8065, [40000, 41000] * 40), START + 1_310_000_000)
+    assert made.losses["samples"] == lost
+    assert abs(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - 1_310_000_000) < (1e6 if lost else 1e9)
+
+
 @pytest.mark.parametrize(("rate_Hz", "said"), [(1000, "1000 Hz instead of 4000"), (8000, "8000 Hz instead of 4000")])
 def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, said: str) -> None:
     """From the 100th answer on the scans come at another rate. The device must be set up again."""
