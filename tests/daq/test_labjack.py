@@ -542,6 +542,21 @@ def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
     assert abs(late_ms[-1] - late_ms[3000]) < 1.0
 
 
+def test_samples_that_wait_are_read_at_once() -> None:
+    """The device is not read for a second: 4000 scans wait, which are 68 answers."""
+    bench, far = bench_of()
+    with bench.running():
+        bench.begin()
+        bench.time.pass_time(1.0)
+        far.fail("deaf", 1)
+        bench.time.pass_time(1.0)
+        assert far.facts()["backlog_bytes"] > 20_000
+        far.fail("deaf", 0)
+        bench.time.pass_time(0.6)
+        assert far.facts()["backlog_bytes"] < 1_000
+    assert bench.pipeline.losses["samples"] == 0
+
+
 @pytest.mark.parametrize("scans", [1, 50, 5000])
 def test_scans_that_the_device_skips_are_counted_exactly(scans: int) -> None:
     bench, far = bench_of()
