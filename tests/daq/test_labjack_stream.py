@@ -371,6 +371,23 @@ def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, sa
     assert not made.set_up_lost
 
 
+def test_times_increase_when_a_stream_that_was_too_fast_is_started_again() -> None:
+    """Another program doubled the rate, so that the times are ahead of the host's; then the host starts the stream."""
+    made, at = pipeline(), START
+    items: Items = []
+    for number in range(600):
+        if number == 200:
+            made.feed(TX, start_command(9), at)
+            made.feed(RX, start_answer(9), at)
+        at += 10_000_000
+        count = 80 if 100 <= number < 200 else 40
+        items += made.feed(RX, answer(0x8000 + number + (number >= 200), [40000, 41000] * count), at)
+    times = np.concatenate([batch.time_ns for batch in batches(items, "laser/x")])
+    assert np.min(np.diff(times)) > 0
+    assert abs(int(times[-1]) - at) < 1e6
+    assert [event.kind for event in events(items, "gap")] == ["gap"]
+
+
 def test_late_answers_missing_answers_and_skipped_scans_are_no_other_rate() -> None:
     """The network is 0.3 s late for some seconds, answers are missing, and the buffer overflows."""
     made = pipeline()

@@ -292,9 +292,11 @@ class LabJackPipeline:
         first_ns = host_ns - round(self._scans_of(read) * self._period_ns)
         if read.status == wire.Status.RECOVERING or first_ns < started_ns:
             first_ns = started_ns
-        lost = max(0, round((first_ns - self._scan_ns) / self._period_ns) - 1)
+        between = round((first_ns - self._scan_ns) / self._period_ns) - 1
+        lost = max(0, between)
         text = f"its stream was started again: about {lost} scans lost ({lost * self._period_ns * 1e-6:.0f} ms)"
-        return [self._lost(lost, text, uncertain_samples=lost)]
+        is_ahead = between < 0 and self._rules >= _PLACE_RULES  # the clock goes back without a jump
+        return [self._lost(lost, text, keeps_clock=is_ahead, uncertain_samples=lost)]
 
     def _scans_of(self, read: wire.StreamRead) -> int:
         """Return the number of scans that an answer has, and that wait behind it."""
@@ -318,10 +320,11 @@ class LabJackPipeline:
             self._lost(lost, f"about {lost} scans skipped by the device: more than it counts", uncertain_samples=lost)
         ]
 
-    def _lost(self, lost: int, text: str, **facts: int) -> DeviceEvent:
+    def _lost(self, lost: int, text: str, *, keeps_clock: bool = False, **facts: int) -> DeviceEvent:
         self._advance(lost)
         self._pace.pause()
-        self._clock, self._has_learned = self._new_clock(), False
+        if not keeps_clock:
+            self._clock, self._has_learned = self._new_clock(), False
         span = lost * self._period_ns * 1e-9
         return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, **facts})
 
@@ -376,7 +379,9 @@ class LabJackPipeline:
         if abs(step_ns) < _STEP_NS:
             return [], time_ns
         scans = round(step_ns / self._period_ns)
-        text = f"its scans arrive {step_ns * 1e-6:.0f} ms later than before: the clock of the host was set"
+        is_early = step_ns < 0 and self._rules >= _PLACE_RULES
+        shift = f"{-step_ns * 1e-6:.0f} ms earlier" if is_early else f"{step_ns * 1e-6:.0f} ms later"
+        text = f"its scans arrive {shift} than before: the clock of the host was set"
         if scans > 0:
             text += f", or about {scans} scans are missing without a report (another program reads the stream)"
         facts = {"step_s": step_ns * 1e-9, "scans": scans}
