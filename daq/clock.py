@@ -100,7 +100,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - an adapter that is known to return sent frames may return a heartbeat late;
     - late answers, missing status messages and every command of another node are events.
 
-    From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device.
+    From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device, and
+    the number of skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -352,8 +352,8 @@ def test_scans_of_an_answer_missing_after_a_late_one_are_all_counted(rules: int,
     assert abs(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - 1_310_000_000) < (1e6 if lost else 1e9)
 
 
-@pytest.mark.parametrize(("rate_Hz", "said"), [(1000, "1000 Hz instead of 4000"), (8000, "8000 Hz instead of 4000")])
-def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, said: str) -> None:
+@pytest.mark.parametrize(("rate_Hz", "shown"), [(1000, "1000 Hz instead of 4000"), (8000, "8000 Hz instead of 4000")])
+def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, shown: str) -> None:
     """From the 100th answer on the scans come at another rate. The device must be set up again."""
     made = pipeline()
     at = START
@@ -364,7 +364,7 @@ def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, sa
         if at - START <= 4 * S:
             assert not made.set_up_lost
     assert isinstance(made, NoticesLostSetUp)
-    assert said in made.set_up_lost
+    assert shown in made.set_up_lost
     assert "another program" in made.set_up_lost
     made.feed(TX, start_command(9), at)
     made.feed(RX, start_answer(9), at)
@@ -421,6 +421,21 @@ def test_reads_of_a_full_buffer_do_not_change_the_clock() -> None:
     assert [event.kind for event in events(items)] == ["gap"]
     late_ns.append(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - (scans + lost + 20) * 250_000)
     assert max(map(abs, late_ns)) < 1e5
+
+
+@pytest.mark.parametrize(("rules", "lost"), [(7, 3920), (6, 65_535)])
+def test_more_skipped_scans_than_were_possible_are_estimated(rules: int, lost: int) -> None:
+    """The device was full for 1 s, and states 65 535 skipped scans, which are 16 s."""
+    made = pipeline({"clock_rules": rules})
+    for number in range(100):
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * 40), START + (number + 1) * 10_000_000)
+    made.feed(RX, answer(0x8064, [40000, 41000] * 40, 0, 2940), START + 1_990_000_000)
+    samples = [0xFFFF] * 2 + [40000, 41000] * 40
+    items = made.feed(RX, answer(0x8065, samples, 0, 2941, 65_535), START + 2 * S)
+    assert made.losses["samples"] == pytest.approx(lost, abs=1)
+    assert ("it states 65535" in events(items, "gap")[0].text) == (rules == 7)
+    if rules == 7:
+        assert int(batches(items, "laser/x")[-1].time_ns[-1]) == pytest.approx(START + 2 * S, abs=1e6)
 
 
 def test_a_log_that_begins_with_a_full_buffer_has_right_times_after_it() -> None:

@@ -32,6 +32,7 @@ BUFFER_BYTES = 32_768
 _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
+_MOST_EARLY_NS = 2_000_000_000  # by which skipped scans may exceed the host's time, for times that are not known well
 _INPUT_NS = 10_000  # from one input of a scan to the next, about
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
 _PLACE_RULES = 7  # from which the place of the samples is compared with the number that waits
@@ -308,17 +309,18 @@ class LabJackPipeline:
         Args:
             waiting: number of scans from the separator on.
         """
-        if read.status == wire.Status.RECOVERED:
-            lost = read.info + (not self._settings.separator_counts)
-            text = f"{lost} scans skipped by the device, whose buffer was full ({lost * self._period_ns * 1e-6:.1f} ms)"
-            self._advance(lost)
-            facts = {"samples": lost, "span_s": lost * self._period_ns * 1e-9}
-            return [DeviceEvent("gap", self._device, text, facts)]
         behind_ns = 0.0 if self._scan_ns is None else host_ns - self._scan_ns - waiting * self._period_ns
+        stated = read.info + (not self._settings.separator_counts)
+        is_possible = not self._has_learned or stated * self._period_ns < behind_ns + _MOST_EARLY_NS
+        if read.status == wire.Status.RECOVERED and (is_possible or self._rules < _PLACE_RULES):
+            span = f"{stated * self._period_ns * 1e-6:.1f} ms"
+            self._advance(stated)
+            text = f"{stated} scans skipped by the device, whose buffer was full ({span})"
+            facts = {"samples": stated, "span_s": stated * self._period_ns * 1e-9}
+            return [DeviceEvent("gap", self._device, text, facts)]
+        why = "more than it counts" if read.status != wire.Status.RECOVERED else f"it states {stated}, too many"
         lost = max(0, round(behind_ns / self._period_ns))
-        return [
-            self._lost(lost, f"about {lost} scans skipped by the device: more than it counts", uncertain_samples=lost)
-        ]
+        return [self._lost(lost, f"about {lost} scans skipped by the device: {why}", uncertain_samples=lost)]
 
     def _lost(self, lost: int, text: str, *, keeps_clock: bool = False, **facts: int) -> DeviceEvent:
         self._advance(lost)
