@@ -275,8 +275,9 @@ class LabJackPipeline:
         The scans that a device with a full buffer skips are not among them: it will report their number.
         """
         then_ns, waited = self._newest or (host_ns, 0)
-        if self._rules >= _PLACE_RULES and self._scan_ns is not None:  # the answer before may have been late
-            then_ns, waited = self._scan_ns, 0
+        late_ns = 0 if self._scan_ns is None else then_ns - self._scan_ns - waited * self._period_ns
+        if self._rules >= _PLACE_RULES and late_ns > _STEP_NS:  # the answer before was late
+            then_ns -= round(late_ns)
         lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
         if lost <= 0 or read.status == wire.Status.RECOVERING:
             return []
