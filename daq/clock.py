@@ -110,6 +110,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     From 7 on, a polled displacement sensor's texts without a value are named by the code of the sample, more of them
     are read, its block checks are compared, and only refusals that last are a fault.
     - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor.
+    From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device, and
+    the number of skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -408,7 +408,7 @@ class Core:
         if now_ns >= self._watch_ns:
             self._watch_ns = now_ns + round(self._patience(_WATCH_PERIOD_S) * 1e9)
             yield from self._look_for_silence(now_ns)
-            yield from self._look_for_lost_set_ups(now_ns)
+            yield from self.report_lost_set_ups(now_ns)
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
             facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
@@ -462,8 +462,8 @@ class Core:
             yield Note(DeviceEvent("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = silent, (self.mute | certain) & silent
 
-    def _look_for_lost_set_ups(self, now_ns: int) -> Iterator[Order]:
-        """Warn of devices that send, but no longer as they were set up."""
+    def report_lost_set_ups(self, now_ns: int) -> Iterator[Order]:
+        """Warn of devices that send, but no longer as they were set up; of each once."""
         found = self.altered if self.commanding and self.guarding else {}
         for name, sign in found.items():
             if self._altered_before.get(name) != sign:

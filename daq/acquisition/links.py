@@ -252,6 +252,7 @@ class Links:
         try:
             for name in list(core.gone):
                 yield from self.reopened(name, command)
+            yield from core.report_lost_set_ups(self._clock.now_ns())  # found between two checks
             for name in sorted(mute | altered):
                 if command is not None and name not in self.refused and (yield from self._woken(name, command)):
                     yield from core.restored(name, self._clock.now_ns())

@@ -415,6 +415,30 @@ def test_a_stream_that_runs_at_the_opening_is_ended_first() -> None:
     assert int.from_bytes(detail[-2:], "big") == wire.Status.STREAM_IS_ACTIVE
 
 
+@pytest.mark.parametrize("lacks", [(), (4014, 4024, 48005)], ids=["all registers", "a device without some"])
+def test_what_an_earlier_program_left_is_undone(lacks: tuple[int, ...]) -> None:
+    """An earlier program had a stream that waits for a trigger, and the line of the tachometer as an output."""
+
+    class Used(SimulatedLabJack):
+        written: ClassVar[list[int]] = []
+
+        def _write(self, address: int, data: bytes) -> None:
+            self.written.append(address)
+            super()._write(1 if address in lacks else address, data)
+
+    bench, far = bench_of({"lasers": LASERS, "tacho": {"input": "EIO3"}})
+    trigger, output = wire.write(4024, struct.pack(">I", 2000)), wire.write(2011, b"\0\0")
+    far.receive(wire.request(1, [output] if lacks else [output, trigger]))
+    assert far.facts()["outputs"] == [11]
+    far.__class__ = type("Own", (Used,), {})
+    with bench.running():
+        bench.begin()
+        bench.time.pass_time(2.0)
+    assert {4014, 4024, 48005} < {*Used.written}
+    assert len(numbers(bench.items)) > 7000
+    assert far.facts()["outputs"] == []
+
+
 def test_the_identity_has_what_the_samples_need() -> None:
     bench, _ = bench_of()
     with bench.running():
@@ -516,6 +540,21 @@ def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
     times = np.concatenate([batch.time_ns for batch in batches(bench.items, "laser/x")])
     late_ms = (times - START) * 1e-6 - np.array(found) * 0.25
     assert abs(late_ms[-1] - late_ms[3000]) < 1.0
+
+
+def test_samples_that_wait_are_read_at_once() -> None:
+    """The device is not read for a second: 4000 scans wait, which are 68 answers."""
+    bench, far = bench_of()
+    with bench.running():
+        bench.begin()
+        bench.time.pass_time(1.0)
+        far.fail("deaf", 1)
+        bench.time.pass_time(1.0)
+        assert far.facts()["backlog_bytes"] > 20_000
+        far.fail("deaf", 0)
+        bench.time.pass_time(0.6)
+        assert far.facts()["backlog_bytes"] < 1_000
+    assert bench.pipeline.losses["samples"] == 0
 
 
 @pytest.mark.parametrize("scans", [1, 50, 5000])

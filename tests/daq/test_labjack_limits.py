@@ -345,7 +345,7 @@ def test_a_step_of_the_clock_is_reported_from_20_ms_on(
     found = step_of(rate_Hz, reads, step_ns, 1)
     assert [event.facts for event in found] == [{"step_s": pytest.approx(-0.02), "scans": scans}] * (scans is not None)
     for event in found:
-        assert event.text == "its scans arrive -20 ms later than before: the clock of the host was set"
+        assert event.text == "its scans arrive 20 ms earlier than before: the clock of the host was set"
 
 
 def test_a_step_of_one_scan_may_be_a_missing_scan() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,13 +11,16 @@ import numpy as np
 import pytest
 
 from daq.acquisition.session import Session
+from daq.drivers.contract import NoticesLostSetUp
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.far_end import SimulatedLabJack
+from daq.drivers.labjack.stream import LabJackPipeline
 from daq.items import RX, TX, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from rig_configs import load_rig
+from rig_testing.bench import Items
 from tests.daq.test_labjack import (
     LASERS,
     OWN,
@@ -32,6 +36,8 @@ from tests.daq.test_labjack import (
 )
 
 OTHER = {"quantity": "acceleration_m_per_s2", "per_V": 10.0}
+THREE = {"others": {"a": {"input": "AIN3", **OTHER}}}  # three inputs with the two lasers
+LASER_TOPICS = ("laser/x", "laser/y")
 REFUSAL = bytes.fromhex("8000 0000 0003 01 cc 04")
 
 
@@ -111,6 +117,77 @@ def test_answers_of_whole_scans_are_dropped_until_their_place_in_the_buffer_is_c
     items = [made.feed(RX, answer(0x8000 + number, [40000, 41000], 6), START) for number in range(21)]
     assert [len(each) for each in items] == [0] * 20 + [2]
     assert made.losses["samples"] == 0
+
+
+def read_samples(made: LabJackPipeline, taken: Sequence[tuple[int, int]]) -> Items:
+    """Feed answers with these samples of one endless stream, which are (first, last + 1), and the rest that waits."""
+    items: Items = []
+    for number, (first, end) in enumerate(taken):
+        scans = 20 * (number + 1)
+        codes = [10_000 * (1 + at % 3) + at // 3 % 5000 for at in range(first, end)]
+        items += made.feed(RX, answer(0x8000 + number, codes, 2 * (3 * scans - end)), START + scans * 250_000)
+    return items
+
+
+def test_a_sample_that_another_program_has_read_does_not_exchange_the_inputs() -> None:
+    """60 samples an answer; from sample 1800 on one is missing, and the answers end within a scan."""
+    taken = [(60 * each, 60 * each + 60) for each in range(30)]
+    stolen = [(1801, 1860), *((60 * each, 60 * each + 60) for each in range(31, 50))]
+    made = pipeline(**THREE)
+    items = read_samples(made, taken + stolen)
+    codes = {
+        topic: np.concatenate([batch.columns["code"] for batch in batches(items, topic)]) for topic in LASER_TOPICS
+    }
+    assert [np.unique(each // 10_000).tolist() for each in codes.values()] == [[1], [2]]
+    damage, gap = events(items)
+    assert (damage.kind, gap.kind, damage.facts["samples"]) == ("damage", "gap", 179)
+    assert "another program" in damage.text
+    assert numbers(items) == [*range(600), *range(600 + gap.facts["samples"], 1000)]
+    assert codes["laser/x"].tolist() == [10_000 + number for number in numbers(items)]
+    assert made.losses["samples"] == gap.facts["samples"]
+
+
+def test_by_older_rules_the_number_that_waits_is_no_check() -> None:
+    taken = [(60 * each, 60 * each + 60) for each in range(30)]
+    made = pipeline({"clock_rules": 6}, **THREE)
+    items = read_samples(made, [*taken, (1801, 1860), (1860, 1920), (1920, 1980)])
+    assert not events(items)
+    assert numbers(items) == [*range(659)]
+
+
+@pytest.mark.parametrize("waiting", [1, 2])
+def test_an_answer_during_a_scan_is_no_sign_of_missing_samples(waiting: int) -> None:
+    """The device has stored one or two samples of a scan when it answers: the answer is decoded with the next one."""
+    made, usual = pipeline(**THREE), pipeline(**THREE)
+    for number in range(40):
+        codes = [40000, 41000, 42000] * 20
+        at, within = START + (number + 1) * 5_000_000, waiting if number == 30 else 0
+        found = made.feed(RX, answer(0x8000 + number, codes, 2 * within), at)
+        wanted = usual.feed(RX, answer(0x8000 + number, codes), at)
+        assert not events(found)
+        assert numbers(found) == {30: [], 31: [*range(600, 640)]}.get(number, numbers(wanted))
+    assert made.losses["samples"] == 0
+
+
+def test_a_device_that_often_answers_during_a_scan_is_not_doubted() -> None:
+    made = pipeline(**THREE)
+    for number in range(60):
+        codes = [40000, 41000, 42000] * 20
+        found = made.feed(RX, answer(0x8000 + number, codes, 2 * (number % 3)), START + (number + 1) * 5_000_000)
+        assert len(numbers(found)) == 20
+    assert made.losses["samples"] == 0
+
+
+def test_a_new_start_ends_the_doubt_about_answers() -> None:
+    made = pipeline(**THREE)
+    read_samples(made, [*((60 * each, 60 * each + 60) for each in range(30)), (1801, 1860)])
+    made.feed(TX, start_command(9), START + 30 * 5_000_000)
+    made.feed(RX, start_answer(9), START + 31 * 5_000_000)
+    items = made.feed(RX, answer(0x8050, [40000, 41000, 42000] * 20), START + 40 * 5_000_000)
+    (gap,) = events(items)
+    assert gap.kind == "gap"
+    (batch,) = batches(items, "laser/x")
+    assert np.unique(batch.columns["code"]).tolist() == [40000]
 
 
 def test_bytes_of_a_message_that_began_before_the_log_are_no_damage() -> None:
@@ -263,6 +340,67 @@ def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_pa
         assert (opened.end_ns - found.time_ns[-1]) * 1e-9 < 0.2
 
 
+@pytest.mark.parametrize(("rules", "lost"), [(7, 1200), (6, 0)])
+def test_scans_of_an_answer_missing_after_a_late_one_are_all_counted(rules: int, lost: int) -> None:
+    """The 100th answer is 0.3 s late, the one with the scans of these 0.3 s is missing."""
+    made = pipeline({"clock_rules": rules})
+    for number in range(99):
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * 40), START + (number + 1) * 10_000_000)
+    made.feed(RX, answer(0x8063, [40000, 41000] * 40), START + 1_300_000_000)
+    items = made.feed(RX, answer(0x8065, [40000, 41000] * 40), START + 1_310_000_000)
+    assert made.losses["samples"] == lost
+    assert abs(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - 1_310_000_000) < (1e6 if lost else 1e9)
+
+
+@pytest.mark.parametrize(("rate_Hz", "shown"), [(1000, "1000 Hz instead of 4000"), (8000, "8000 Hz instead of 4000")])
+def test_a_stream_that_another_program_has_set_up_is_recognised(rate_Hz: int, shown: str) -> None:
+    """From the 100th answer on the scans come at another rate. The device must be set up again."""
+    made = pipeline()
+    at = START
+    for number in range(1000):
+        count = 40 if number < 100 else rate_Hz // 100
+        at += 10_000_000
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * count), at)
+        if at - START <= 4 * S:
+            assert not made.set_up_lost
+    assert isinstance(made, NoticesLostSetUp)
+    assert shown in made.set_up_lost
+    assert "another program" in made.set_up_lost
+    made.feed(TX, start_command(9), at)
+    made.feed(RX, start_answer(9), at)
+    assert not made.set_up_lost
+
+
+def test_times_increase_when_a_stream_that_was_too_fast_is_started_again() -> None:
+    """Another program doubled the rate, so that the times are ahead of the host's; then the host starts the stream."""
+    made, at = pipeline(), START
+    items: Items = []
+    for number in range(600):
+        if number == 200:
+            made.feed(TX, start_command(9), at)
+            made.feed(RX, start_answer(9), at)
+        at += 10_000_000
+        count = 80 if 100 <= number < 200 else 40
+        items += made.feed(RX, answer(0x8000 + number + (number >= 200), [40000, 41000] * count), at)
+    times = np.concatenate([batch.time_ns for batch in batches(items, "laser/x")])
+    assert np.min(np.diff(times)) > 0
+    assert abs(int(times[-1]) - at) < 1e6
+    assert [event.kind for event in events(items, "gap")] == ["gap"]
+
+
+def test_late_answers_missing_answers_and_skipped_scans_are_no_other_rate() -> None:
+    """The network is 0.3 s late for some seconds, answers are missing, and the buffer overflows."""
+    made = pipeline()
+    number, at = 0, START
+    for second in range(12):
+        for part in range(20):
+            number += 1 + (second == 4)
+            at = START + second * S + part * 50_000_000 + (300_000_000 if 6 <= second < 8 else 0)
+            full = second == 9
+            made.feed(RX, answer(0x8000 + number, [40000, 41000] * (20 if full else 200), 0, 2940 if full else 0), at)
+            assert not made.set_up_lost
+
+
 # --- the clock --------------------------------------------------------------------------------------------------------
 
 
@@ -283,6 +421,21 @@ def test_reads_of_a_full_buffer_do_not_change_the_clock() -> None:
     assert [event.kind for event in events(items)] == ["gap"]
     late_ns.append(int(batches(items, "laser/x")[-1].time_ns[-1]) - START - (scans + lost + 20) * 250_000)
     assert max(map(abs, late_ns)) < 1e5
+
+
+@pytest.mark.parametrize(("rules", "lost"), [(7, 3920), (6, 65_535)])
+def test_more_skipped_scans_than_were_possible_are_estimated(rules: int, lost: int) -> None:
+    """The device was full for 1 s, and states 65 535 skipped scans, which are 16 s."""
+    made = pipeline({"clock_rules": rules})
+    for number in range(100):
+        made.feed(RX, answer(0x8000 + number, [40000, 41000] * 40), START + (number + 1) * 10_000_000)
+    made.feed(RX, answer(0x8064, [40000, 41000] * 40, 0, 2940), START + 1_990_000_000)
+    samples = [0xFFFF] * 2 + [40000, 41000] * 40
+    items = made.feed(RX, answer(0x8065, samples, 0, 2941, 65_535), START + 2 * S)
+    assert made.losses["samples"] == pytest.approx(lost, abs=1)
+    assert ("it states 65535" in events(items, "gap")[0].text) == (rules == 7)
+    if rules == 7:
+        assert int(batches(items, "laser/x")[-1].time_ns[-1]) == pytest.approx(START + 2 * S, abs=1e6)
 
 
 def test_a_log_that_begins_with_a_full_buffer_has_right_times_after_it() -> None:

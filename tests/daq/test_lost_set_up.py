@@ -226,6 +226,26 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
             assert [event["kind"] for event in log.events if event["kind"] in ("altered", "set_up")] == kinds
 
 
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.12])
+def test_a_lost_set_up_is_reported_before_the_device_is_set_up_again(tmp_path: Path, after_s: float) -> None:
+    """It may be found in a wait of the session, before the check that is made four times a second."""
+    sim, session = opened()
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(3.0)
+        sim.clock.wait(after_s)
+        pipeline = session._core.pipelines["laser_y"]
+        assert isinstance(pipeline, NoticesLostSetUp)
+        pipeline.set_up_lost = "it may have lost power"
+        for _ in range(40):
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    assert [notice for notice in session.notices if "it may have lost power. It is set up again" in notice]
+    with open_log(tmp_path / "a.mcap") as log:
+        assert [e["kind"] for e in log.events if e["kind"] in ("altered", "set_up")] == ["altered", "set_up"]
+
+
 def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -52,6 +52,15 @@ def test_a_slow_device_is_asked_as_soon_as_it_has_answered() -> None:
     assert [b - a for a, b in pairwise(asked)] == pytest.approx([0.25] * (len(asked) - 1), abs=0.001)
 
 
+def test_a_hurried_request_does_not_wait_for_its_period() -> None:
+    line = Line(0.003, period_s=0.4)
+    line.loop.start()
+    line.run(1.05)
+    line.loop.hurry()
+    assert len(line.run(0.15)) == 1
+    assert line.run(0.15) == []
+
+
 def test_an_answer_in_parts_counts_with_its_end() -> None:
     line = Line(None)
     line.loop.start()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import queue
 import struct
@@ -16,6 +17,9 @@ from daq.drivers.labjack.stream import BUFFER_BYTES
 from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, T4_MISSING_LINES, VoltScale, nominal, read_constants
 from daq.drivers.labjack.wire import Register
 from daq.errors import DeviceError
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 ANSWER_S = 1.0
 """Wall time within which the device answers a command, s."""
@@ -154,6 +158,27 @@ def constants(settings: LabJack, model: str, commands: Commands) -> dict[str, An
     return facts
 
 
+def undo(settings: LabJack, commands: Commands) -> None:
+    """Undo what an earlier program may have left: trigger, external clock, inputs without power, a line as output.
+
+    Such a stream has no scans, other times, or an input without a signal. A device that does not know one of these
+    registers cannot have been left so; models and firmwares differ. A line that is read alone becomes a digital input.
+
+    Raises:
+        DeviceError: the device does not answer.
+    """
+    parts = [
+        _u32(Register.STREAM_TRIGGER, 0),
+        _u32(Register.STREAM_CLOCK_SOURCE, 0),
+        wire.write(Register.AIN_POWER, struct.pack(">H", 1)),
+    ]
+    if settings.tacho is not None and settings.tacho.is_digital:
+        parts.append(wire.read(Register.DIGITAL_LINE + settings.tacho.line, 1))
+    for part in parts:
+        with ignoring(_log, "undoing what an earlier program left in a device", RequestRefused):
+            commands.ask([part])
+
+
 def start_stream(settings: LabJack, model: str, commands: Commands) -> float:
     """Set up the inputs and the stream, and start it.
 
@@ -178,7 +203,6 @@ def start_stream(settings: LabJack, model: str, commands: Commands) -> float:
             _f32(Register.STREAM_SETTLING_US, 0.0),
             _u32(Register.STREAM_RESOLUTION, 0),
             _u32(Register.STREAM_BUFFER_BYTES, BUFFER_BYTES),
-            _u32(Register.STREAM_CLOCK_SOURCE, 0),
             _u32(Register.STREAM_TARGET, wire.TARGET_COMMAND),
             _u32(Register.STREAM_DATA_TYPE, 0),
             _u32(Register.STREAM_SCANS, 0),
@@ -207,6 +231,7 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
         identity = identify(device, settings, commands)
         end_stream(commands)
         identity |= constants(settings, identity["model"], commands)
+        undo(settings, commands)
         identity["scan_rate_Hz"] = start_stream(settings, identity["model"], commands)
     except RequestRefused as refusal:
         raise DeviceError(

@@ -119,6 +119,7 @@ class SimulatedLabJack(FarEnd):
 
     def _start(self) -> None:
         self._registers: dict[int, bytes] = {}
+        self._outputs: set[int] = set()  # digital lines that are outputs
         self._error = 0
         self._stream: _Buffer | None = None
         self._rate_Hz = 0.0
@@ -193,6 +194,9 @@ class SimulatedLabJack(FarEnd):
                 return answer
             case _ if address in facts:
                 return facts[address]
+            case _ if 2000 <= address < 2016:
+                self._outputs.discard(address - 2000)
+                return b"\0\0"
             case _:
                 raise _Refused(_NO_ADDRESS, 0)
 
@@ -213,7 +217,9 @@ class SimulatedLabJack(FarEnd):
         elif address == 4100:
             for place in range(0, len(data), 4):
                 self._registers[4100 + place // 2] = data[place : place + 4]
-        elif 4002 <= address < 4022 or 40000 <= address < 41014 or address == 61810:
+        elif 2000 <= address < 2016:
+            self._outputs.add(address - 2000)
+        elif 4002 <= address < 4026 or 40000 <= address < 41014 or address in (48005, 61810):
             self._registers[address] = data
         else:
             raise _Refused(_NO_ADDRESS, 0)
@@ -244,7 +250,7 @@ class SimulatedLabJack(FarEnd):
 
     def sample(self, motion: MotionInterval) -> bytes:
         """Store the scans of an interval of motion; they are sent when they are read."""
-        if self._stream is None or not self.line_alive:
+        if self._stream is None or not self.line_alive or self._number(4024):  # the trigger never comes
             return b""
         times = self._clock.due(motion, 1.0 / self._rate_Hz) / self._rate_Hz
         if len(times):
@@ -278,6 +284,7 @@ class SimulatedLabJack(FarEnd):
         level = np.clip(angle / _FLANK_RAD + 0.5, 0, 1) - np.clip((angle - _PULSE_RAD) / _FLANK_RAD + 0.5, 0, 1)
         if tacho.is_digital:
             high = level > 0.5 if tacho.edge == "rising" else level <= 0.5
+            high &= tacho.line not in self._outputs
             return np.where(high, 0xFE00 | 1 << tacho.bit, 0xFE00).astype(np.float64)
         half, swing = tacho.threshold_V, 0.5 * _PULSE_V
         noise = _QUIET_V * self._clock.rng.standard_normal(len(times))
@@ -308,4 +315,5 @@ class SimulatedLabJack(FarEnd):
 
     def facts(self) -> Mapping[str, Any]:
         """See FarEnd."""
-        return {"streaming": self._stream is not None, "backlog_bytes": len(self._stream.data) if self._stream else 0}
+        backlog = len(self._stream.data) if self._stream else 0
+        return {"streaming": self._stream is not None, "backlog_bytes": backlog, "outputs": sorted(self._outputs)}

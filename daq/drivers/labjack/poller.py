@@ -1,4 +1,8 @@
-"""Poller of a LabJack: stream reads, and a read of the error of each read that the device refuses."""
+"""Poller of a LabJack: stream reads, and a read of the error of each read that the device refuses.
+
+While more samples wait than a read returns, one read follows the other at once: a full buffer skips scans until all
+that wait have been read.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,13 @@ class StreamReads:
     def heard(self, data: bytes) -> None:
         """See Poller."""
         for message in self._decoder.feed(data).messages:
-            if message.function == wire.REFUSED and message.number >= wire.FIRST_STREAM_ID:
+            if message.number < wire.FIRST_STREAM_ID:
+                continue
+            if message.function == wire.FEEDBACK:
+                read = wire.parse_stream(message.body)
+                if read is not None and read.backlog_bytes >= 2 * max(1, len(read.samples)):
+                    self._loop.hurry()
+            else:
                 with ignoring(_log, "reading the error of a device without a link", LinkLost):
                     self._send(wire.request(wire.ERROR_NUMBER, [wire.read(Register.LAST_ERROR, 1)]))
         self._loop.heard(data)

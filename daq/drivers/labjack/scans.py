@@ -10,7 +10,17 @@ from daq.drivers.labjack.wire import NO_VALUE
 _MAX_UNDECIDED = 20
 """Answers of whole scans in a row after which a device is taken for one that never divides a scan."""
 
+_TRUSTED = 20
+"""Answers in a row whose numbers agree, after which a number that disagrees is a sign of samples that are missing."""
+_MAX_DOUBTED = 3
+"""Answers in a row that are held because their numbers disagree; the next one decides."""
+
 Counts = NDArray[np.uint16]
+
+
+def have_no_value(scans: Counts) -> NDArray[np.bool_]:
+    """Return for each scan whether it has no value at any input, like the scan that stands for skipped ones."""
+    return np.all(scans == NO_VALUE, axis=1)
 
 
 class ScanCutter:
@@ -29,14 +39,44 @@ class ScanCutter:
         self._inputs = inputs
         self._rest: Counts | None = None  # samples of a scan that is not complete; None if their place is unknown
         self._undecided = 0
+        self._agreed = 0  # answers in a row whose number of waiting samples agrees with the place of their samples
+        self._surplus = 0  # samples that the doubted answers have beyond whole scans
+        self._doubted: list[int] = []  # numbers of samples of the answers that are held
 
     def begin(self) -> None:
         """Begin with a new stream, whose first sample belongs to the first input."""
-        self._rest = np.empty(0, np.uint16)
+        self._rest, self._doubted = np.empty(0, np.uint16), []
 
     def lose(self) -> None:
-        """Note that answers are missing before the next one."""
-        self._rest, self._undecided = None, 0
+        """Note that answers are missing before the next one, or that the place of its samples is wrong."""
+        self._rest, self._undecided, self._doubted = None, 0, []
+
+    def doubts(self, samples: int, waiting: int) -> bool:
+        """Return whether the next answer must be held, since samples before it may be missing.
+
+        The buffer ends with a whole scan. If a device has been seen to keep this, and the number that waits contradicts
+        the place of the samples, another program may have read a part of a scan. A device that stores a scan while it
+        is read disagrees once; missing samples disagree in the same way in all further answers.
+
+        Args:
+            samples: number of samples of the answer.
+            waiting: number of samples that still wait in the device.
+        """
+        if self._rest is None:
+            return False
+        surplus = (len(self._rest) + sum(self._doubted) + samples + waiting) % self._inputs
+        is_new = surplus > 0 and not self._doubted and self._agreed >= _TRUSTED
+        if is_new or (self._doubted and surplus == self._surplus):
+            self._surplus = surplus
+            self._doubted.append(samples)
+            return True
+        self._agreed, self._doubted = 0 if surplus else self._agreed + 1, []
+        return False
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether so many answers were doubted that their places are wrong."""
+        return len(self._doubted) > _MAX_DOUBTED
 
     @property
     def begins_without_value(self) -> bool:

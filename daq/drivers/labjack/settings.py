@@ -87,6 +87,11 @@ class Tachometer(RigTable):
         """Bit of a digital line in the state of its port."""
         return int(self.input[3:])
 
+    @property
+    def line(self) -> int:
+        """Number of a digital line among all lines: FIO0 … FIO7 are 0 to 7, EIO0 … EIO7 8 to 15."""
+        return 8 * _STATES.index(self.input[:3]) + self.bit
+
 
 class AnalogueQuantity(RigTable):
     """Any other quantity with a voltage, such as an acceleration; it is recorded in the channel `analogue/NAME`.

@@ -7,6 +7,7 @@ stream that the host started again, leave an unknown number of scans out: it is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
@@ -19,7 +20,8 @@ from daq.channels import Channel
 from daq.clock import AGE_RULES, ClockMap, clock_rules
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
-from daq.drivers.labjack.scans import Counts, ScanCutter
+from daq.drivers.labjack.pace import PaceWatch
+from daq.drivers.labjack.scans import Counts, ScanCutter, have_no_value
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.volts import VoltScale, nominal
 from daq.items import TX, Batch, DeviceEvent
@@ -30,9 +32,11 @@ BUFFER_BYTES = 32_768
 _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
+_MOST_EARLY_NS = 2_000_000_000  # by which skipped scans may exceed the host's time, for times that are not known well
+_INPUT_NS = 10_000  # from one input of a scan to the next, about
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
+_PLACE_RULES = 7  # from which the place of the samples is compared with the number that waits
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
-
 _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
 Items = list[Batch | DeviceEvent]
@@ -63,6 +67,7 @@ class LabJackPipeline:
         self._inputs = len(settings.scan_list)
         self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns)
         self._decoder = wire.MessageDecoder()
+        self._pace = PaceWatch(1e9 / self._period_ns)
         self._rules = clock_rules(identity)
         self._clock = self._new_clock()
         self._has_learned = False  # whether the clock's map has seen a read whose age is known
@@ -77,6 +82,21 @@ class LabJackPipeline:
         self._newest: tuple[int, int] | None = None  # its host time, and its backlog in scans
         self._scan_ns: int | None = None  # time of the newest scan
         self._standing: set[str] = set()  # conditions that were reported and have not ended
+        self._held: list[tuple[int, wire.StreamRead, int]] = []  # answers whose place is doubted, as of `_decoded`
+
+    @property
+    def set_up_lost(self) -> str:
+        """See NoticesLostSetUp."""
+        return self._pace.wrong
+
+    @set_up_lost.setter
+    def set_up_lost(self, sign: str) -> None:
+        self._pace.wrong = sign
+
+    @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError. The inputs of a scan are read one after the other, but have the same time."""
+        return math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
 
     def _new_clock(self) -> ClockMap:
         return ClockMap(self._settings.clock_tolerance_ppm, self._rules)
@@ -113,6 +133,8 @@ class LabJackPipeline:
         if message.function == wire.FEEDBACK:
             self._started_ns = self._start[1]
             self._cutter.begin()
+            self._pace.begin()
+            self._held = []
         self._start = None
 
     def _refused(self, message: wire.Message) -> Items:
@@ -148,27 +170,59 @@ class LabJackPipeline:
             self.losses["bytes"] += len(message.body)
             text = f"the answer to a stream read has {len(message.body)} bytes, fewer than it states"
             return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
-        out, scans = self._next_scans(message.number, read, host_ns)
+        answer = message.number, read, host_ns
+        if self._is_doubted(message.number, read):
+            self._held.append(answer)
+            return self._misplaced(answer) if self._cutter.is_contradicted else []
+        held, self._held = self._held, []
+        return [item for each in (*held, answer) for item in self._decoded(*each)]
+
+    def _is_doubted(self, number: int, read: wire.StreamRead) -> bool:
+        """Return whether an answer must be held; see ScanCutter. Answers missing before it are known to be missing."""
+        newest = self._held[-1][0] if self._held else self._number
+        follows = newest is not None and (number - newest) % wire.FIRST_STREAM_ID == 1
+        if self._rules < _PLACE_RULES or self._started_ns is not None or not follows:
+            return False
+        return self._cutter.doubts(len(read.samples), read.backlog_bytes // 2)
+
+    def _misplaced(self, newest: tuple[int, wire.StreamRead, int]) -> Items:
+        """Return the event about answers whose samples belong to other inputs, and the samples of the newest one.
+
+        The answers before it are dropped; the scans lost with them are estimated, as those of missing answers.
+        """
+        dropped, self._held = self._held[:-1], []
+        samples = sum(len(read.samples) for _, read, _ in dropped)
+        text = f"samples are missing within a scan, without a report (another program reads the stream): {samples} "
+        text += "samples whose inputs are not certain were dropped"
+        return [DeviceEvent("damage", self._device, text, {"samples": samples}), *self._decoded(*newest)]
+
+    def _decoded(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
+        """Return the events and samples of an answer; the answers that may be missing before it are looked for."""
+        out, scans = self._next_scans(number, read, host_ns)
         out += self._state(read)
         if scans is None:
             return out
         ended, self._ended = self._ended or (read if read.status in _ENDED else None), None
-        sent_ns = host_ns - round(read.backlog_bytes // (2 * self._inputs) * self._period_ns)
+        waiting = read.backlog_bytes // (2 * self._inputs)
+        sent_ns = host_ns - round(waiting * self._period_ns)
         self._skips |= read.status == wire.Status.RECOVERING
         if ended is not None:
             self._skips = True
-            empty = np.flatnonzero(_have_no_value(scans))
+            empty = np.flatnonzero(have_no_value(scans))
             if len(empty) or not self._cutter.begins_without_value:
                 at = int(empty[0]) if len(empty) else 0
                 out += self._scans(scans[:at], sent_ns)
                 self._skips = False
-                waiting = len(scans) - at + read.backlog_bytes // (2 * self._inputs)
-                out += self._skipped(ended, host_ns, waiting)
+                out += self._skipped(ended, host_ns, len(scans) - at + waiting)
                 scans = scans[at + bool(len(empty)) :]
             else:  # the rest of the separator comes with the next answer
                 self._ended = ended
         out += self._scans(scans, sent_ns)
-        self._newest = host_ns, read.backlog_bytes // (2 * self._inputs)
+        self._newest = host_ns, waiting
+        if self._skips:
+            self._pace.pause()
+        else:
+            self._pace.add(self._next + waiting, host_ns)
         return out
 
     def _next_scans(self, number: int, read: wire.StreamRead, host_ns: int) -> tuple[Items, Counts | None]:
@@ -221,6 +275,9 @@ class LabJackPipeline:
         The scans that a device with a full buffer skips are not among them: it will report their number.
         """
         then_ns, waited = self._newest or (host_ns, 0)
+        late_ns = 0 if self._scan_ns is None else then_ns - self._scan_ns - waited * self._period_ns
+        if self._rules >= _PLACE_RULES and late_ns > _STEP_NS:  # the answer before was late
+            then_ns -= round(late_ns)
         lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
         if lost <= 0 or read.status == wire.Status.RECOVERING:
             return []
@@ -237,9 +294,11 @@ class LabJackPipeline:
         first_ns = host_ns - round(self._scans_of(read) * self._period_ns)
         if read.status == wire.Status.RECOVERING or first_ns < started_ns:
             first_ns = started_ns
-        lost = max(0, round((first_ns - self._scan_ns) / self._period_ns) - 1)
+        between = round((first_ns - self._scan_ns) / self._period_ns) - 1
+        lost = max(0, between)
         text = f"its stream was started again: about {lost} scans lost ({lost * self._period_ns * 1e-6:.0f} ms)"
-        return [self._lost(lost, text, uncertain_samples=lost)]
+        is_ahead = between < 0 and self._rules >= _PLACE_RULES  # the clock goes back without a jump
+        return [self._lost(lost, text, keeps_clock=is_ahead, uncertain_samples=lost)]
 
     def _scans_of(self, read: wire.StreamRead) -> int:
         """Return the number of scans that an answer has, and that wait behind it."""
@@ -251,21 +310,24 @@ class LabJackPipeline:
         Args:
             waiting: number of scans from the separator on.
         """
-        if read.status == wire.Status.RECOVERED:
-            lost = read.info + (not self._settings.separator_counts)
-            text = f"{lost} scans skipped by the device, whose buffer was full ({lost * self._period_ns * 1e-6:.1f} ms)"
-            self._advance(lost)
-            facts = {"samples": lost, "span_s": lost * self._period_ns * 1e-9}
-            return [DeviceEvent("gap", self._device, text, facts)]
         behind_ns = 0.0 if self._scan_ns is None else host_ns - self._scan_ns - waiting * self._period_ns
+        stated = read.info + (not self._settings.separator_counts)
+        is_possible = not self._has_learned or stated * self._period_ns < behind_ns + _MOST_EARLY_NS
+        if read.status == wire.Status.RECOVERED and (is_possible or self._rules < _PLACE_RULES):
+            span = f"{stated * self._period_ns * 1e-6:.1f} ms"
+            self._advance(stated)
+            text = f"{stated} scans skipped by the device, whose buffer was full ({span})"
+            facts = {"samples": stated, "span_s": stated * self._period_ns * 1e-9}
+            return [DeviceEvent("gap", self._device, text, facts)]
+        why = "more than it counts" if read.status != wire.Status.RECOVERED else f"it states {stated}, too many"
         lost = max(0, round(behind_ns / self._period_ns))
-        return [
-            self._lost(lost, f"about {lost} scans skipped by the device: more than it counts", uncertain_samples=lost)
-        ]
+        return [self._lost(lost, f"about {lost} scans skipped by the device: {why}", uncertain_samples=lost)]
 
-    def _lost(self, lost: int, text: str, **facts: int) -> DeviceEvent:
+    def _lost(self, lost: int, text: str, *, keeps_clock: bool = False, **facts: int) -> DeviceEvent:
         self._advance(lost)
-        self._clock, self._has_learned = self._new_clock(), False
+        self._pace.pause()
+        if not keeps_clock:
+            self._clock, self._has_learned = self._new_clock(), False
         span = lost * self._period_ns * 1e-9
         return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, **facts})
 
@@ -320,7 +382,9 @@ class LabJackPipeline:
         if abs(step_ns) < _STEP_NS:
             return [], time_ns
         scans = round(step_ns / self._period_ns)
-        text = f"its scans arrive {step_ns * 1e-6:.0f} ms later than before: the clock of the host was set"
+        is_early = step_ns < 0 and self._rules >= _PLACE_RULES
+        shift = f"{-step_ns * 1e-6:.0f} ms earlier" if is_early else f"{step_ns * 1e-6:.0f} ms later"
+        text = f"its scans arrive {shift} than before: the clock of the host was set"
         if scans > 0:
             text += f", or about {scans} scans are missing without a report (another program reads the stream)"
         facts = {"step_s": step_ns * 1e-9, "scans": scans}
@@ -330,7 +394,7 @@ class LabJackPipeline:
         self, scans: Counts, volts: Mapping[str, NDArray[np.float64]], number: NDArray[np.int64], time_ns: NDArray[Any]
     ) -> Items:
         """Return the index marks. Scans without any value have no state of the tachometer: no edge is found there."""
-        empty = _have_no_value(scans) if self._inputs > 1 else np.zeros(len(scans), np.bool_)
+        empty = have_no_value(scans) if self._inputs > 1 else np.zeros(len(scans), np.bool_)
         text = "scans without a value at any input (FFFFh), and no number of skipped scans"
         out = self._reported("empty", bool(empty.any()), "damage", text, samples=int(np.count_nonzero(empty)))
         tacho = self._settings.tacho
@@ -344,8 +408,3 @@ class LabJackPipeline:
             else:
                 out += self._marks.feed(signal[start:end], number[start:end], time_ns[start:end])
         return out
-
-
-def _have_no_value(scans: Counts) -> NDArray[np.bool_]:
-    """Return for each scan whether it has no value at any input, like the scan that stands for skipped ones."""
-    return np.all(scans == wire.NO_VALUE, axis=1)
