@@ -100,6 +100,10 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - an adapter that is known to return sent frames may return a heartbeat late;
     - late answers, missing status messages and every command of another node are events.
 
+    From 7 on:
+
+    - packets of a radio node that come late wait for their place, as soon as the node has sent one late;
+
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
     """
