@@ -53,7 +53,7 @@ class PacketSearch:
                 break
             packet = packet_of(bytes(self._line[:length]), self._version) if length else None
             if packet is None:
-                is_confirmation = self._line[:2] == self._confirmed
+                is_confirmation = bytes(self._line[:2]) == self._confirmed
                 counted = self._skip(1)
                 skipped += 0 if is_confirmation else counted
                 continue
