@@ -112,6 +112,7 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor.
     From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device, and
     the number of skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
+    - packets of a radio node that come late wait for their place, as soon as the node has sent one late;
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

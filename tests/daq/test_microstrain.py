@@ -283,9 +283,10 @@ def test_the_answer_of_a_beacon_that_is_on_is_used_for_a_minute(later_ns: int, u
     line, at_ns = pipeline(), (UTC_S + 3) * S
     line.feed(RX, status(UTC_S * S), at_ns)
     line.feed(RX, status(0, is_on=False), at_ns)
-    (batch,) = line.feed(RX, sweeps(0, [(1, 1)]), at_ns + later_ns)
+    *doubt, batch = line.feed(RX, sweeps(0, [(1, 1)]), at_ns + later_ns)
     assert isinstance(batch, Batch)
     assert batch.time_ns.tolist() == [at_ns if used else at_ns + later_ns]
+    assert kinds(doubt) == ([] if used else ["doubt"])
 
 
 def test_an_answer_of_more_than_a_minute_ago_is_not_used() -> None:
@@ -307,8 +308,14 @@ def test_a_beacon_that_is_off_is_reported_once() -> None:
     line = pipeline()
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == []
-    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
+    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["restart"]
+    assert "beacon is off" in line.set_up_lost
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
+    line.feed(RX, status(UTC_S * S), UTC_S * S)
+    assert line.set_up_lost == ""
+    old = pipeline({"clock_rules": 6})
+    old.feed(RX, status(UTC_S * S), UTC_S * S)
+    assert kinds(old.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
 
 
 def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a_reply() -> None:
@@ -320,7 +327,7 @@ def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
     line.feed(RX, packet(0x31, bytes.fromhex("beac") + UTC_S.to_bytes(4, "big"), 0x1234), UTC_S * S)
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
-    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
+    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["restart"]
 
 
 def test_an_answer_of_another_node_is_not_taken() -> None:
@@ -516,7 +523,7 @@ def test_faults_of_the_simulated_node_reach_the_host(fault: str, value: int, kin
         assert losses.get("samples", 0) == missing
 
 
-def test_a_node_without_supply_starts_again_by_the_beacon_and_a_lost_beacon_is_a_fault() -> None:
+def test_a_node_without_supply_starts_again_by_the_beacon_and_a_lost_beacon_is_a_restart() -> None:
     bench = DriverBench(MicroStrain())
     with bench.running():
         bench.begin()
@@ -528,8 +535,8 @@ def test_a_node_without_supply_starts_again_by_the_beacon_and_a_lost_beacon_is_a
         assert kinds(bench.items).count("restart") == 2  # it reports its start, and its ticks begin again
         bench.far.fail("beacon", 1)
         bench.time.pass_time(2.0)
-        (fault,) = [i for i in bench.items if isinstance(i, DeviceEvent) and i.kind == "fault"]
-        assert "beacon is off" in fault.text
+        *_, restart = [i for i in bench.items if isinstance(i, DeviceEvent) and i.kind == "restart"]
+        assert "beacon is off" in restart.text
 
 
 def test_requests_in_any_pieces_and_after_noise_are_answered() -> None:

@@ -163,7 +163,7 @@ def test_the_first_state_of_the_beacon_is_a_reply_even_if_it_is_off() -> None:
     off, on = status(0, is_on=False), status(UTC_S * S)
     event = only_event(line.feed(RX, off, 7 * S))
     assert (event.kind, event.text) == ("reply", f"49 {BASE} {7 * S} {payload_of(off).hex()}")
-    assert [kinds(line.feed(RX, data, 8 * S)) for data in (off, on, on, off, off)] == [[], [], [], ["fault"], []]
+    assert [kinds(line.feed(RX, data, 8 * S)) for data in (off, on, on, off, off)] == [[], [], [], ["restart"], []]
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_other_answers_are_replies_and_leave_the_beacon_s_state_known(kind: int,
     line.feed(RX, status(UTC_S * S), S)
     assert kinds(line.feed(RX, packet(kind, bytes.fromhex(payload), BASE), S)) == ["reply"]
     assert line.feed(RX, status(UTC_S * S), S) == []
-    assert kinds(line.feed(RX, status(0, is_on=False), S)) == ["fault"]
+    assert kinds(line.feed(RX, status(0, is_on=False), S)) == ["restart"]
 
 
 def test_no_sample_is_later_than_its_arrival() -> None:

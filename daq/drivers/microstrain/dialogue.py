@@ -85,7 +85,8 @@ class _Dialogue:
         if self._ask(BASE_ADDRESS, wire.PING) is None:
             raise DeviceError(
                 f"{self._device} on {self._settings.port}: no base station answers a ping in {_TRIES} tries. Check "
-                f"that it has power, baud {self._settings.baud}, and aspp = {self._settings.aspp}"
+                f"that it has power, baud = {self._settings.baud} (usual: 921600 by USB, 115200 by RS-232), and aspp = "
+                f"{self._settings.aspp} (older base stations: 1, newer ones: 3)"
             )
 
     def identity(self, address: int) -> dict[str, str]:

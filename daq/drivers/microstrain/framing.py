@@ -30,10 +30,13 @@ class PacketSearch:
 
     Args:
         version: version of the packets; those of another version are not decoded.
+        confirms: whether a single start before another one is the confirmation by which a base station of version 1
+            reports that it has sent a request to a node; it does not count.
     """
 
-    def __init__(self, version: Version) -> None:
+    def __init__(self, version: Version, *, confirms: bool = True) -> None:
         self._version: Version = version
+        self._confirmed = bytes((STARTS[version],)) * 2 if confirms and version == 1 else None
         self._line = bytearray()
         self._excused = HEAD_BYTES[version] + MAX_PAYLOAD + TAIL_BYTES[version]
 
@@ -50,7 +53,9 @@ class PacketSearch:
                 break
             packet = packet_of(bytes(self._line[:length]), self._version) if length else None
             if packet is None:
-                skipped += self._skip(1)
+                is_confirmation = bytes(self._line[:2]) == self._confirmed
+                counted = self._skip(1)
+                skipped += 0 if is_confirmation else counted
                 continue
             packets.append(packet)
             del self._line[:length]

@@ -2,7 +2,8 @@
 
 Samples have the time of the beacon, which the base station sends. The base station answers a periodic query with the
 beacon's time. This answer is on the line immediately, while sweeps wait in the node until a packet is full and until
-its turn on air has come. The lag of the newest answer is therefore the lag of the samples in the clock map.
+its turn on air has come. The lag of the newest answer is therefore the lag of the samples in the clock map. Packets
+that come late wait for their place, see `late`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.microstrain import wire
 from daq.drivers.microstrain.answers import Answer, beacon_of
 from daq.drivers.microstrain.framing import PacketSearch
+from daq.drivers.microstrain.late import Arrived, LatePackets
 from daq.drivers.microstrain.order import SweepOrder
 from daq.drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
 from daq.drivers.microstrain.settings import MicroStrainNode
@@ -27,7 +29,9 @@ from daq.items import TX, Batch, DeviceEvent
 
 BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
+_LATE_RULES = 7  # from which late packets are put into order, and restarts of the base station are restarts
 _LAG_VALID_NS = 60_000_000_000
+_START_NS = 5_000_000_000  # after it was switched on, a node that samples by itself has sent sweeps; unverified
 _MAX_FOREIGN_EVENTS = 16
 _CONTRADICTIONS = 3  # consecutive packets with other channels or another rate than the rig file's
 _WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
@@ -46,6 +50,7 @@ class MicroStrainPipeline:
         losses: see Pipeline. "samples": missing by tick and time; "damaged_packets": intact packets with impossible
             content; "bytes": skipped; "foreign_packets": of other nodes.
         has_reported, complaint: see DescribesItself; every packet has the node's channels and rate.
+        set_up_lost: see NoticesLostSetUp; the command that sets the beacon resets it.
         base_rssi_dBm, node_rssi_dBm: signal strength of the newest packet, dBm; None if unknown.
         repeated_packets: number of packets that came again.
     """
@@ -56,13 +61,16 @@ class MicroStrainPipeline:
         self.losses: dict[str, int] = {"samples": 0, "damaged_packets": 0, "bytes": 0, "foreign_packets": 0}
         self.has_reported: bool = False
         self.complaint: str = ""
+        self.set_up_lost: str = ""
         self.base_rssi_dBm: int | None = None
         self.node_rssi_dBm: int | None = None
         self.repeated_packets: int = 0
         self._device, self._settings, self._quantities = device, settings, quantities
-        self._search = PacketSearch(settings.aspp)
-        self._order = SweepOrder(settings.rate_Hz)
         self._rules = clock_rules(identity)
+        self._is_new = self._rules >= _LATE_RULES
+        self._search = PacketSearch(settings.aspp, confirms=self._is_new)
+        self._order = SweepOrder(settings.rate_Hz, by_tick=self._is_new)
+        self._late = LatePackets(self._order, settings.rate_Hz, waits=self._is_new)
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
         known = identity.get(BEACON_LAG)
         self._lag: tuple[int, int | None] | None = (known, None) if type(known) is int else None
@@ -73,7 +81,10 @@ class MicroStrainPipeline:
             ContinuedAngle(settings.slope_a_rad, settings.offset_a_rad, _LOCKS_RAD[0] if settings.turns else None),
             ContinuedAngle(settings.slope_b_rad, settings.offset_b_rad, _LOCKS_RAD[1] if settings.turns else None),
         ]
-        self._contradictions = 0
+        self._contradictions = self._others = 0
+        self._switched_on_ns: int | None = None  # host time, until samples of the node follow
+        self._is_timed_by_arrival = False  # which was reported
+        self._is_beacon_new = False  # the host has set the beacon after samples had come
         self._foreign: set[int] = set()
         self._status_reported = self._is_off = False
 
@@ -94,18 +105,58 @@ class MicroStrainPipeline:
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         for packet in found.packets:
             out += self._packet(packet, host_ns)
+        while (waited := self._late.next(host_ns)) is not None:
+            out += self._placed(waited)
+        if not data:
+            out += self._all_placed()
+        if self._switched_on_ns is not None and host_ns - self._switched_on_ns > _START_NS:
+            self.set_up_lost = "the node was switched on and does not sample"
         return out + self._run_ended(host_ns)
 
     def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
         if packet.address == BASE_ADDRESS and packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
+        if packet.kind == wire.BEACON_ECHO and not packet.address and self._is_new:
+            return []
         if packet.address != self._settings.node_address:
             return self._foreign_packet(packet.address)
+        return self._node_packet(packet, host_ns)
+
+    def _node_packet(self, packet: wire.Packet, host_ns: int) -> Items:
+        if wire.is_discovery(packet) if self._is_new else packet.kind in wire.FIRST_DISCOVERIES:
+            self._switched_on_ns = host_ns if self._is_new else None
+            return [DeviceEvent("restart", self._device, "the node reports that it was switched on")]
         if packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
-        if packet.kind in wire.DISCOVERIES:
-            return [DeviceEvent("restart", self._device, "the node reports that it was switched on")]
-        return self._samples(packet, host_ns) if packet.kind == wire.SYNC_SAMPLES else []
+        if not self._is_new and packet.kind != wire.SYNC_SAMPLES:
+            return []
+        version = self._settings.aspp
+        try:
+            payload = wire.sweeps_of(packet, version)
+            found = None if payload is None else wire.parse_sweeps(payload, version)
+        except ValueError as fault:  # usual: a damaged packet that the check let pass
+            return [self._damaged(str(fault))]
+        return self._other_samples(packet.kind) if found is None else self._samples(found, packet, host_ns)
+
+    def _other_samples(self, kind: int) -> Items:
+        """Return the events of a packet with samples of another kind: a complaint if the node sends only such packets.
+
+        A node may send them in addition.
+        """
+        if self.has_reported or kind not in wire.OTHER_SAMPLES:
+            return []
+        self._others += 1
+        if self._others < _CONTRADICTIONS:
+            return []
+        name = wire.OTHER_SAMPLES[kind]
+        self.has_reported, self.complaint = (
+            True,
+            (
+                f"the node sends packets of type {kind:02X}h ({name}), not of synchronized sampling. "
+                "Set up its sampling mode and its channels"
+            ),
+        )
+        return [DeviceEvent("fault", self._device, self.complaint)]
 
     def _foreign_packet(self, address: int) -> Items:
         self.losses["foreign_packets"] += 1
@@ -118,37 +169,80 @@ class MicroStrainPipeline:
     # --- answers -------------------------------------------------------------------------------------------------
 
     def _answered(self, packet: wire.Packet, host_ns: int) -> Items:
+        command = packet.payload[:2]
         beacon = beacon_of(packet)
         out: Items = []
-        if packet.kind == wire.BASE_SUCCESS and packet.payload[:2] == wire.SET_BEACON.to_bytes(2, "big"):
+        if packet.kind == wire.BASE_SUCCESS and command == wire.SET_BEACON.to_bytes(2, "big"):
             # The host switches the beacon off and on when it opens the device, also again during a recording: this is
             # no fault, and the next state of the beacon is a reply that the dialogue waits for.
             self._status_reported = False
+            self.set_up_lost, self._switched_on_ns = "", None
+            self._is_beacon_new = self._is_new and self._index > 0
+        is_status = beacon is not None
         if beacon is not None:
             if beacon.is_on:
-                self._lag = host_ns - beacon.time_ns, host_ns
-            if not beacon.is_on and not self._is_off and self._status_reported:
-                text = "the base station's beacon is off: the node stops sampling. Open the device again"
-                out.append(DeviceEvent("fault", self._device, text))
+                self._lag, self._is_timed_by_arrival = (host_ns - beacon.time_ns, host_ns), False
+                if self._is_off and self._switched_on_ns is None:
+                    self.set_up_lost = ""
+            elif not self._is_off and self._status_reported:
+                out.append(self._beacon_is_off())
             self._is_off = not beacon.is_on
+        elif self._is_new and packet.kind == wire.BASE_ERROR and command == wire.BEACON_STATUS.to_bytes(2, "big"):
+            is_status = True
+            if self._status_reported:
+                out += self._timed_by_arrival(f"the base station refuses the query with code {packet.payload[-1]}")
+        if is_status:
             if self._status_reported:
                 return out
             self._status_reported = True
         text = Answer(packet.kind, packet.address, packet.payload, host_ns).text
         return [*out, DeviceEvent("reply", self._device, text)]
 
+    def _beacon_is_off(self) -> DeviceEvent:
+        if not self._is_new:
+            text = "the base station's beacon is off: the node stops sampling. Open the device again"
+            return DeviceEvent("fault", self._device, text)
+        self.set_up_lost = "the base station's beacon is off"
+        text = (
+            f"{self.set_up_lost}: it has started again, or another program uses it. Look at its power. Until the "
+            "beacon is set, the node has times of its own clock, and it stops sampling after its own timeout"
+        )
+        return DeviceEvent("restart", self._device, text)
+
+    def _timed_by_arrival(self, reason: str) -> Items:
+        """Return the event that samples have the time of their arrival, once until the beacon's time is known again."""
+        if self._is_timed_by_arrival or not self._is_new:
+            return []
+        self._is_timed_by_arrival = True
+        text = (
+            f"the beacon's time is unknown: {reason}. Samples have the time of their arrival, which is later by the "
+            "delay of their packet: its duration and that of the radio"
+        )
+        return [DeviceEvent("doubt", self._device, text)]
+
     # --- samples -------------------------------------------------------------------------------------------------
 
-    def _samples(self, packet: wire.Packet, host_ns: int) -> Items:
-        try:
-            sweeps = wire.parse_sweeps(packet.payload, self._settings.aspp)
-        except ValueError as fault:  # usual: a damaged packet that the check let pass
-            return [self._damaged(str(fault))]
+    def _samples(self, sweeps: wire.Sweeps, packet: wire.Packet, host_ns: int) -> Items:
         wrong = self._contradiction(sweeps)
         if wrong is not None:
             return wrong
-        self.has_reported = True
+        self.has_reported, self._switched_on_ns = True, None
         self.base_rssi_dBm, self.node_rssi_dBm = packet.base_rssi_dBm, packet.node_rssi_dBm
+        arrived = Arrived(sweeps, host_ns)
+        out = self._all_placed() if self._late.contradicts(arrived) else []
+        if self._late.take(arrived) is None:
+            return out
+        out += self._placed(arrived)
+        while (waited := self._late.next(host_ns)) is not None:
+            out += self._placed(waited)
+        return out
+
+    def _all_placed(self) -> Items:
+        """Return the samples of all waiting packets."""
+        return [item for waited in self._late.end() for item in self._placed(waited)]
+
+    def _placed(self, arrived: Arrived) -> Items:
+        sweeps, host_ns = arrived
         place = self._order.feed(sweeps.tick, sweeps.time_ns, len(sweeps.values), host_ns)
         if place.state == "repeated":
             self.repeated_packets += 1
@@ -159,6 +253,8 @@ class MicroStrainPipeline:
         elif place.state == "beacon":
             out.append(DeviceEvent("restart", self._device, "the beacon's time was set: the clock restarts"))
             self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm, self._rules), None
+        if self._is_beacon_new and place.state != "next":
+            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm, self._rules), False
         self._missing += place.missing
         period_ns = 1e9 / self._settings.rate_Hz
         device_ns = sweeps.time_ns + np.rint(np.arange(len(sweeps.values)) * period_ns).astype(np.int64)
@@ -178,6 +274,8 @@ class MicroStrainPipeline:
         sequence = (self._index + np.arange(len(used))).astype(np.uint32)
         self._index += len(used)
         out: Items = []
+        if self._lag is not None and self._lag[1] is not None and host_ns - self._lag[1] > _LAG_VALID_NS:
+            out += self._timed_by_arrival(f"the base station answers no query for {_LAG_VALID_NS / 1e9:.0f} s")
         if missing:
             self.losses["samples"] += missing
             span_s = missing / self._settings.rate_Hz

@@ -30,10 +30,29 @@ MAX_PAYLOAD = 255
 # types of packets
 NODE_COMMAND, NODE_ERROR, NODE_SUCCESS = 0x00, 0x02, 0x22
 BASE_COMMAND, BASE_SUCCESS, BASE_ERROR, BASE_RECEIVED = 0x30, 0x31, 0x32, 0x34
-SYNC_SAMPLES = 0x1A
+SYNC_SAMPLES, SYNC_SAMPLES_8 = 0x1A, 0x0A
+"""Synchronized sampling of nodes with 16 channels, and of older nodes with 8 channels."""
+_MISNAMED_8 = 0x09  # type of a packet SYNC_SAMPLES_8 of the oldest nodes, if its mode is continuous
+OTHER_SAMPLES = {
+    0x04: "low duty cycle",
+    0x09: "low duty cycle",
+    0x0D: "buffered low duty cycle",
+    0x0E: "digital events",
+    0x0F: "digital events",
+    0x14: "low duty cycle",
+    0x15: "derived values",
+    0x1B: "derived values",
+    0x1D: "buffered low duty cycle",
+    0xA0: "structural health",
+}
+"""Types of packets with samples of other kinds, and their names."""
+BEACON_ECHO = 0x10
+"""Repetition of the beacon, which a base station sends if it is set up for it."""
 REPLIES = frozenset((NODE_COMMAND, NODE_ERROR, 0x20, NODE_SUCCESS, BASE_SUCCESS, BASE_ERROR, BASE_RECEIVED))
-DISCOVERIES = frozenset((0x07, 0x17, 0x18))
+DISCOVERIES = frozenset((0x07, 0x16, 0x17, 0x18))
 """Types of the packets by which a node reports that it was switched on."""
+FIRST_DISCOVERIES = frozenset((0x07, 0x17, 0x18))
+"""Those that are recognised before the rules of late packets; see `clock_rules`."""
 
 # commands
 PING, NODE_READ, START_SYNC, BASE_READ = 0x0001, 0x0007, 0x003B, 0x0073
@@ -63,6 +82,7 @@ ERRORS = {
 
 _UNKNOWN_RSSI = 0x7F
 _MAX_MODE = 2
+_CHANNELS_RADIO = range(11, 27)  # numbers of the radio channels
 _MAX_TIME_NS = 2**62
 _HEADS: dict[Version, int] = {1: 14, 3: 18}  # bytes of a payload with sweeps before the first sweep
 
@@ -187,8 +207,34 @@ def node_bytes(version: Version, address: int) -> bytes:
 # --- sweeps ------------------------------------------------------------------------------------------------------
 
 
+def is_discovery(packet: Packet) -> bool:
+    """Return whether a node reports that it was switched on; the oldest nodes do it in a packet NODE_COMMAND."""
+    data = packet.payload
+    return packet.kind in DISCOVERIES or (packet.kind == NODE_COMMAND and len(data) == 3 and data[0] in _CHANNELS_RADIO)
+
+
+def sweeps_of(packet: Packet, version: Version) -> bytes | None:
+    """Return the content of a packet with sweeps in the layout of SYNC_SAMPLES; None for any other packet.
+
+    Version 3 has no packets SYNC_SAMPLES_8.
+
+    Raises:
+        ValueError: mode or data type of a packet SYNC_SAMPLES_8 are impossible.
+    """
+    data = packet.payload
+    if packet.kind == SYNC_SAMPLES:
+        return data
+    is_named = packet.kind == SYNC_SAMPLES_8 or (packet.kind == _MISNAMED_8 and data[:1] == bytes((_MAX_MODE,)))
+    if version != 1 or not is_named:
+        return None
+    if len(data) < 4 or data[0] > _MAX_MODE or data[3] > 0x0F:
+        raise ValueError(f"expected a sampling mode up to {_MAX_MODE} and a known data type, got {data[:4].hex()}")
+    mode, mask, rate, kind = data[:4]
+    return bytes((0, mask, rate, mode << 4 | kind)) + data[4:]
+
+
 def parse_sweeps(payload: bytes, version: Version) -> Sweeps:
-    """Parse the content of a packet SYNC_SAMPLES.
+    """Parse the content of a packet SYNC_SAMPLES; see `sweeps_of`.
 
     Raises:
         ValueError: length, mode, data type, channels or time are impossible.
