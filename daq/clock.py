@@ -102,17 +102,17 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     From 7 on:
 
-    - of several encoder nodes, the first one that sends samples is the rig's; a second one makes the choice doubtful.
-    - a braked rotor that does not slow down is a fault.
+    - of several encoder nodes, the first one that sends samples is the rig's; a second one makes the choice doubtful;
+    - packets of a radio node that come late wait for their place, as soon as the node has sent one late;
+    - a braked rotor that does not slow down is a fault;
     - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
       loss before them when it stops or starts the stream;
-    - bytes of an optoNCDT sensor that never gave a block are counted.
-    From 7 on, a polled displacement sensor's texts without a value are named by the code of the sample, more of them
-    are read, its block checks are compared, and only refusals that last are a fault.
-    - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor.
-    From 7 on, the place of a sample in its scan is compared with the number of samples that wait in the device, and
-    the number of skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
-    - packets of a radio node that come late wait for their place, as soon as the node has sent one late;
+    - bytes of an optoNCDT sensor that never gave a block are counted;
+    - a polled displacement sensor's texts without a value are named by the code of the sample, more of them are read, its
+      block checks are compared, and only refusals that last are a fault;
+    - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor;
+    - the place of a sample in a scan is compared with the number of samples that wait in the device, and the number of
+      skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
