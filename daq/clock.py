@@ -108,8 +108,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
       loss before them when it stops or starts the stream;
     - bytes of an optoNCDT sensor that never gave a block are counted;
-    - a polled displacement sensor's texts without a value are named by the code of the sample, more of them are read, its
-      block checks are compared, and only refusals that last are a fault;
+    - a polled displacement sensor's texts without a value are named by the code of the sample, more of them are read,
+      its block checks are compared, and only refusals that last are a fault;
     - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor;
     - the place of a sample in a scan is compared with the number of samples that wait in the device, and the number of
       skipped scans with the host's time; scans missing after a late answer follow from the times of scans.

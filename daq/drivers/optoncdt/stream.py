@@ -31,8 +31,8 @@ _MOST_CODES = 32  # different error codes that are counted
 
 _SHORT_TIMESTAMP = (
     "expected a timestamp of two values in steps of 10 µs; by its manual an ILD2300 sends one value in steps of 256 µs "
-    "on its serial line, which gives no times of samples. Connect it by Ethernet and use the driver optoncdt_ethernet. If "
-    "its firmware sends two values, low half first, set devices.{device}.words, in stream order"
+    "on its serial line, which gives no times of samples. Connect it by Ethernet and use the driver optoncdt_ethernet. "
+    "If its firmware sends two values, low half first, set devices.{device}.words, in stream order"
 )
 
 Items = list[Batch | DeviceEvent]
