@@ -24,9 +24,8 @@ from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
 
-_OTHER_ENCODING = (
-    "cp1252"  # of files that are not UTF-8 and that devices name: programs for Windows write its code page
-)
+_OTHER_ENCODING = "cp1252"
+"""Encoding of files that devices name and that are not UTF-8: the code page in which programs for Windows write."""
 
 
 def shipped_rigs() -> list[str]:

@@ -186,6 +186,8 @@ def test_reading_ends_on_a_line_that_never_pauses(monkeypatch: pytest.MonkeyPatc
         ("cia402", {"node_id": 127}, {"node_id": 127}),
         ("cia406", {}, {"a_node": 3, "b_node": 4, "shaft_node": 5, "counts_per_revolution": 4096}),
         ("cia406", {"a_node": 90, "b_node": 17, "shaft_node": None}, {"a_node": 17, "b_node": 90, "shaft_node": None}),
+        ("microstrain", {}, {"aspp": 3, "baud": 921_600, "node_address": None}),
+        ("microstrain", {"aspp": 1, "baud": 115_200}, {"aspp": 1, "baud": 115_200}),
         ("polled_laser", {"dialect": "LK-G"}, {"dialect": "LK-G", "output": 1, "baud": 115_200}),
         ("polled_laser", {"dialect": "LK-G5000"}, {"dialect": "LK-G5000"}),
         ("polled_laser", {"dialect": "IL", "baud": 9600, "rate_Hz": 20}, {"dialect": "IL", "baud": 9600}),

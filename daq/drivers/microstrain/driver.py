@@ -17,6 +17,7 @@ from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
+    from daq.drivers.identification import IdentityTurns
     from daq.transports.host_clock import HostClock
 
 _MIN_SIGNAL_DBM = -85
@@ -43,6 +44,7 @@ class MicroStrain(PlainDriver):
         "offset_b_rad": -10 * math.pi,
         "counts_per_revolution": 6554,
     }
+    usual: tuple[Mapping[str, Any], ...] = ({}, {"aspp": 1}, {"aspp": 1, "baud": 115_200}, {"baud": 115_200})
     claims: frozenset[str] = frozenset({"checksum", "counts exactly", "falls silent"})
     measured: frozenset[str] = frozenset({"beacon_lag_ns"})
 
@@ -61,6 +63,12 @@ class MicroStrain(PlainDriver):
         from daq.drivers.microstrain.stream import MicroStrainPipeline
 
         return MicroStrainPipeline(device, settings, identity, _quantities(settings))
+
+    def identity_request(self, settings: MicroStrainNode) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.microstrain.identity import identity_turns
+
+        return identity_turns(settings)
 
     def poller(self, settings: MicroStrainNode, send: Callable[[bytes], None], clock: HostClock) -> Poller:
         """See AnswersOnRequest: the beacon's time is queried periodically."""

@@ -149,12 +149,10 @@ class MicroStrainPipeline:
         if self._others < _CONTRADICTIONS:
             return []
         name = wire.OTHER_SAMPLES[kind]
-        self.has_reported, self.complaint = (
-            True,
-            (
-                f"the node sends packets of type {kind:02X}h ({name}), not of synchronized sampling. "
-                "Set up its sampling mode and its channels"
-            ),
+        self.has_reported = True
+        self.complaint = (
+            f"the node sends packets of type {kind:02X}h ({name}), not of synchronized sampling. "
+            "Set up its sampling mode and its channels"
         )
         return [DeviceEvent("fault", self._device, self.complaint)]
 
