@@ -331,6 +331,7 @@ def test_frames_of_another_node_are_reported_once_and_ignored() -> None:
     assert [(event.kind, event.facts) for event in events(items)] == [
         ("acknowledge", {"node": 2}),
         ("foreign", {"node": 3}),
+        ("doubt", {"node": 3}),
     ]
     assert pipeline.learned == {"node": 2}
     assert node().learned == {}
