@@ -91,14 +91,10 @@ class _Dialogue:
 
     def identity(self, address: int) -> dict[str, str]:
         """Return serial number and firmware of the base station or of a node."""
-        words = [
-            self._read(address, place)
-            for place in (wire.MODEL, wire.MODEL_OPTION, wire.SERIAL_HIGH, wire.SERIAL_LOW, wire.FIRMWARE)
-        ]
-        model, option, high, low, firmware = words
+        model, option, high, low = (self._read(address, place) for place in wire.IDENTITY_PLACES)
         return {
-            "serial": f"{model:04d}-{option:04d}-{high << 16 | low:05d}",
-            "firmware": f"{firmware >> 8}.{firmware & 0xFF}",
+            "serial": wire.serial_number(model, option, high, low),
+            "firmware": wire.firmware_version(self._read(address, wire.FIRMWARE)),
         }
 
     def compare_setup(self) -> None:

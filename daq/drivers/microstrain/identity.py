@@ -23,15 +23,15 @@ def identity_turns(settings: MicroStrainNode) -> IdentityTurns:
     if _answer(heard, settings.aspp, wire.PING) is None:
         return None
     words: dict[int, int | None] = {}
-    for place in (wire.MODEL, wire.MODEL_OPTION, wire.SERIAL_HIGH, wire.SERIAL_LOW, wire.FIRMWARE):
+    for place in (*wire.IDENTITY_PLACES, wire.FIRMWARE):
         words[place], received = yield from _word(settings.aspp, place)
         heard += received
     identity: dict[str, str | int] = {"sensor": "base station"}
     model, option, high, low, firmware = words.values()
     if model is not None and option is not None and high is not None and low is not None:
-        identity["base_serial"] = f"{model:04d}-{option:04d}-{high << 16 | low:05d}"
+        identity["base_serial"] = wire.serial_number(model, option, high, low)
     if firmware is not None:
-        identity["base_firmware"] = f"{firmware >> 8}.{firmware & 0xFF}"
+        identity["base_firmware"] = wire.firmware_version(firmware)
     return FoundDevice({"baud": settings.baud, "aspp": settings.aspp, **_node(heard, settings.aspp)}, identity)
 
 

@@ -72,6 +72,9 @@ CHANNEL_MASK, SERIAL_HIGH, SERIAL_LOW, MODEL, MODEL_OPTION, SAMPLE_RATE, FIRMWAR
     110,
 )
 
+IDENTITY_PLACES = (MODEL, MODEL_OPTION, SERIAL_HIGH, SERIAL_LOW)
+"""Places of the words that make up a serial number, in the order of `serial_number`."""
+
 ERRORS = {
     1: "no such place in the EEPROM",
     2: "value out of bounds",
@@ -85,6 +88,16 @@ _MAX_MODE = 2
 _CHANNELS_RADIO = range(11, 27)  # numbers of the radio channels
 _MAX_TIME_NS = 2**62
 _HEADS: dict[Version, int] = {1: 14, 3: 18}  # bytes of a payload with sweeps before the first sweep
+
+
+def serial_number(model: int, option: int, high: int, low: int) -> str:
+    """Return the serial number of a base station or a node, as printed on it, from words of its EEPROM."""
+    return f"{model:04d}-{option:04d}-{high << 16 | low:05d}"
+
+
+def firmware_version(word: int) -> str:
+    """Return the version of a firmware from a word of the EEPROM."""
+    return f"{word >> 8}.{word & 0xFF}"
 
 
 @dataclass(frozen=True)
