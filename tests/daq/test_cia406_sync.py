@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -191,6 +192,45 @@ def test_reports_that_come_after_they_were_given_up_make_the_wait_longer() -> No
         host.sender.stop()
     assert pauses[0] == pytest.approx(0.013, abs=0.004)
     assert pauses[-1] > 0.02
+
+
+@pytest.mark.parametrize("answers", [(3, 4), ()])
+def test_a_report_that_is_missing_is_waited_for_after_the_next_sync_too(answers: tuple[int, ...]) -> None:
+    """Of two reports the second one is the answer: with a SYNC between them, the first one would be taken for it."""
+    host = Host()
+    everyone = report(3, 1) + report(4, 1) + report(5, 1)
+    with host.bench.running():
+        host.sender.start()
+        host.rounds(20)
+        host.until_next()
+        host.bench.time.pass_time(0.001)
+        host.sender.heard(b"".join(report(node, 1) for node in answers))
+        host.until_next()
+        count = len(host.sent_s)
+        host.sender.heard(everyone)  # the shaft's first report is late, or all are
+        host.bench.time.pass_time(0.01)
+        assert len(host.sent_s) == count, "the second report has not come yet"
+        host.sender.heard(report(5, 1) if answers else everyone)
+        assert len(host.sent_s) == count + 1
+        host.sender.stop()
+
+
+def test_a_report_that_never_comes_delays_two_syncs_by_the_shortest_wait() -> None:
+    host = Host()
+    with host.bench.running():
+        host.sender.start()
+        host.rounds(20)
+        host.until_next()
+        host.bench.time.pass_time(0.001)
+        host.sender.heard(report(3, 1) + report(4, 1))
+        count = len(host.sent_s)
+        for _ in range(2):
+            host.until_next()
+            host.bench.time.pass_time(0.001)
+            host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
+        host.sender.stop()
+    pauses = [after - before for before, after in pairwise(host.sent_s[count - 1 :])]
+    assert pauses == pytest.approx([0.014, 0.014, 0.001], abs=0.002), "the last one is overdue"
 
 
 def test_periods_without_a_sync_are_counted() -> None:
