@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -193,6 +194,45 @@ def test_reports_that_come_after_they_were_given_up_make_the_wait_longer() -> No
     assert pauses[-1] > 0.02
 
 
+@pytest.mark.parametrize("answers", [(3, 4), ()])
+def test_a_report_that_is_missing_is_waited_for_after_the_next_sync_too(answers: tuple[int, ...]) -> None:
+    """Of two reports the second one is the answer: with a SYNC between them, the first one would be taken for it."""
+    host = Host()
+    everyone = report(3, 1) + report(4, 1) + report(5, 1)
+    with host.bench.running():
+        host.sender.start()
+        host.rounds(20)
+        host.until_next()
+        host.bench.time.pass_time(0.001)
+        host.sender.heard(b"".join(report(node, 1) for node in answers))
+        host.until_next()
+        count = len(host.sent_s)
+        host.sender.heard(everyone)  # the shaft's first report is late, or all are
+        host.bench.time.pass_time(0.01)
+        assert len(host.sent_s) == count, "the second report has not come yet"
+        host.sender.heard(report(5, 1) if answers else everyone)
+        assert len(host.sent_s) == count + 1
+        host.sender.stop()
+
+
+def test_a_report_that_never_comes_delays_two_syncs_by_the_shortest_wait() -> None:
+    host = Host()
+    with host.bench.running():
+        host.sender.start()
+        host.rounds(20)
+        host.until_next()
+        host.bench.time.pass_time(0.001)
+        host.sender.heard(report(3, 1) + report(4, 1))
+        count = len(host.sent_s)
+        for _ in range(2):
+            host.until_next()
+            host.bench.time.pass_time(0.001)
+            host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
+        host.sender.stop()
+    pauses = [after - before for before, after in pairwise(host.sent_s[count - 1 :])]
+    assert pauses == pytest.approx([0.014, 0.014, 0.001], abs=0.002), "the last one is overdue"
+
+
 def test_periods_without_a_sync_are_counted() -> None:
     line = Line()
     line.all_answer()
@@ -232,3 +272,19 @@ def test_a_report_that_comes_after_the_next_sync_does_not_get_its_time() -> None
     counts = [(int(batch.sequence[0]), int(batch.columns["count_b"][0])) for batch in line.batches()]
     assert counts == [(0, 100), (1, 100), (2, 100), (4, 300), (5, 400)]
     assert line.losses == {"samples": 1, "reports": 1, "unasked": 1}
+
+
+@pytest.mark.parametrize(("rules", "found"), [(8, 300), (7, 200)])
+def test_answers_from_before_a_stall_do_not_get_the_time_of_the_sync_after_it(rules: int, found: int) -> None:
+    """The host is suspended, or the adapter stands still, for longer than the host waits for answers."""
+    line = Line(rules)
+    for _ in range(3):
+        line.all_answer(100)
+    line.period()
+    line.now_ms += 340.0
+    before, after = (b"".join(report(node, position) for node in (3, 4, 5)) for position in (200, 300))
+    line.period(before, after)
+    line.all_answer(400)
+    counts = [(int(batch.sequence[0]), int(batch.columns["count_a"][0])) for batch in line.batches()]
+    assert counts == [(0, 100), (1, 100), (2, 100), (4, found), (5, 400)]
+    assert {**line.losses, "unsampled": 0} == {"samples": 1, "reports": 3, "unasked": 3, "unsampled": 0}

@@ -26,11 +26,14 @@ class SyncSender(RequestLoop):
 
     If no encoder answers, the adapter or the host may be late: the next SYNC waits for twice `LATEST_S`, after which no
     report counts as an answer. If one has answered in time, those of the others are on the same way and come soon:
-    the wait for them begins at the first answer and follows from the newest SYNCs, see `_MARGIN`. One that comes still
-    later makes the next waits longer, and is recognised in the decoding (`SyncTimes`). If the first answer is late by
-    more than `max_lateness_s`, all are waited for as if none had come: the shaft's shows whether the SYNC was late. An
-    encoder that has not answered `_MISSES` times is not waited for until it answers again, so that a
-    dead encoder does not slow down the others.
+    the wait for them begins at the first answer and follows from the newest SYNCs, see `_MARGIN`. If the first answer
+    is late by more than `max_lateness_s`, all are waited for as if none had come: the shaft's shows whether the SYNC
+    was late.
+
+    An answer that comes still later makes the next waits longer. The decoding recognises it if the encoder's next
+    answer comes before another SYNC (`SyncTimes`). The SYNC after a missing answer therefore waits for two answers, or
+    as long as for a missing one. An encoder that has not answered `_MISSES` times is not waited for until it answers
+    again, so that a dead encoder does not slow down the others.
 
     Args:
         settings: table of the encoders in the rig file.
@@ -41,6 +44,7 @@ class SyncSender(RequestLoop):
     def __init__(self, settings: EncoderBus, send: Callable[[bytes], None], clock: HostClock) -> None:
         self._expected = frozenset(cia301.cob_tpdo(1, encoder.node) for encoder in settings.encoders)
         self._missing: set[int] = set()
+        self._owing: set[int] = set()  # encoders from which two answers may come, the first one to the SYNC before
         self._given_up: dict[int, float] = {}  # wall times of the first answers to the SYNCs given up, by encoder, s
         self._misses = dict.fromkeys(self._expected, 0)
         self._lines = slcan.LineDecoder()
@@ -54,22 +58,23 @@ class SyncSender(RequestLoop):
 
     def heard(self, data: bytes) -> None:
         """See Poller."""
-        before, now_s = bool(self._missing), self._clock.wall_s()
+        before, now_s = bool(self._missing or self._owing), self._clock.wall_s()
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id in self._expected:
                 self._answer(frame.arbitration_id, now_s)
-        if before and not self._missing and self._first_s is not None:
+        if before and not self._missing and not self._owing and self._first_s is not None:
             self._waits.append(now_s - self._first_s)
             super().heard(_ANSWERED)
 
     def _answer(self, identifier: int, now_s: float) -> None:
         self._misses[identifier] = 0
-        given_up_s = self._given_up.pop(identifier, None)
-        if given_up_s is not None and identifier not in self._missing:  # it has answered both SYNCs: the first one late
-            self._waits.append(min(now_s - given_up_s, _UNANSWERED_S))
-        elif given_up_s is not None:
-            self._given_up[identifier] = given_up_s
-        self._missing.discard(identifier)
+        if identifier in self._missing:
+            self._missing.discard(identifier)
+        else:
+            self._owing.discard(identifier)
+            given_up_s = self._given_up.pop(identifier, None)
+            if given_up_s is not None:  # it has answered both SYNCs: the first one late
+                self._waits.append(min(now_s - given_up_s, _UNANSWERED_S))
         if self._first_s is None:
             self._first_s = now_s
             first_s = now_s - (self._asked_s or now_s)
@@ -88,6 +93,7 @@ class SyncSender(RequestLoop):
         self._given_up = dict.fromkeys(given_up, self._first_s or 0.0)
         for identifier in self._missing:
             self._misses[identifier] += 1
+        self._owing = {identifier for identifier in self._missing if self._misses[identifier] < _MISSES}
         self._missing = {identifier for identifier in self._expected if self._misses[identifier] < _MISSES}
         self._first_s, self._request = None, self._unanswered
         self._write(data)
