@@ -12,8 +12,9 @@ from hypothesis import given, strategies as st
 from daq.drivers.can_lines import Adapter
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NmtState, SdoServer
+from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402.drive_objects import drive_objects
-from daq.transports import slcan
+from daq.transports import HostClock, slcan
 
 
 class Wire:
@@ -63,6 +64,22 @@ def test_any_request_gets_eight_bytes_that_name_its_object(request: bytes) -> No
     answer = SdoServer(drive_objects(5), {}).answer(request)
     assert len(answer) == 8
     assert answer[1:4] == request[1:4]
+
+
+def test_a_late_answer_to_a_read_does_not_confirm_a_write() -> None:
+    """A slow node answers the reading of an object after the host has begun to write it."""
+    sent: list[bytes] = []
+
+    def send(text: bytes) -> None:
+        (frame,) = slcan.LineDecoder().feed(text).frames
+        sent.append(frame.data)
+        objects.take_answer(bytes.fromhex("4B 17 10 00 64 00 00 00"))
+        objects.take_answer(bytes.fromhex("60 17 10 00 00 00 00 00"))
+
+    objects = NodeObjects("encoder", 5, send, HostClock())
+    objects.write(0x1017, 0, 200, 2)
+    assert objects.read(0x1017, 0) == 100
+    assert [data[0] for data in sent] == [0x2B, 0x40]
 
 
 def test_the_network_starts_and_stops_this_node_or_all() -> None:

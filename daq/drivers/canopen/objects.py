@@ -26,6 +26,8 @@ _ANSWER_S = 0.3  # wall s to wait for an answer
 _TRIES = 3
 _READ = struct.Struct("<BHBI")
 _ABORTED = 0x80
+_KIND = 0xE0  # bits of a command byte that state the kind of a request or answer
+_ANSWERS = {0x20: 0x60, 0x40: 0x40}  # kinds of the answers to a write and to a read
 _EXPEDITED = 0x42  # command byte, under the mask 0xE2, of an answer that contains the value itself
 
 _T = TypeVar("_T")
@@ -69,7 +71,7 @@ class _SdoClient(SdoClient):
         super().__init__(cia301.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
-        self._requested = b""  # index and sub-index as in the request; empty if no answer is expected
+        self._requested = b""  # first bytes of the request: kind, index and sub-index; empty if no answer is expected
         network.subscribe(answers, self._take_answer)
 
     @property
@@ -77,8 +79,11 @@ class _SdoClient(SdoClient):
         return self
 
     def _take_answer(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Take an answer, unless it is a late answer about another object, or no answer is expected."""
-        if bytes(data[1:4]) == self._requested:
+        """Take an answer, unless it is a late answer to another request, or no answer is expected."""
+        asked = self._requested
+        if not asked or data[1:4] != asked[1:]:
+            return
+        if data[0] == _ABORTED or data[0] & _KIND == _ANSWERS.get(asked[0] & _KIND):
             self._exchange.on_response(can_id, data, timestamp)
 
     def request_response(self, sdo_request: bytes) -> bytes:
@@ -86,7 +91,7 @@ class _SdoClient(SdoClient):
         with contextlib.suppress(queue.Empty):  # usual: no late answer is left
             while True:
                 self.responses.get_nowait()
-        self._requested = bytes(sdo_request[1:4])
+        self._requested = bytes(sdo_request[:4])
         self._exchange.send_request(sdo_request)
         try:
             return bytes(self._exchange.read_response())
