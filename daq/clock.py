@@ -24,7 +24,7 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 7
+FIRST_RULES, NEWEST_RULES = 1, 8
 _IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
@@ -113,6 +113,10 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor;
     - the place of a sample in a scan is compared with the number of samples that wait in the device, and the number of
       skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
+
+    From 8 on:
+
+    - frames of a node behind XBee modules that arrive late or twice are no restart of the node.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -11,6 +11,8 @@ from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.items import TX, Batch, DeviceEvent
 
+_LATE_RULES = 8  # rules of a log since which a late frame is not a restart of the node
+_MAX_INDEX_ERROR_US = 100_000  # of a late block's time, from its index; a node's period is not exact
 _MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
 
 
@@ -90,6 +92,22 @@ class XBeePipeline(NodePipeline):
             )
             return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
         return self.take([inner], host_ns)
+
+    def _is_late(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> bool:
+        """See NodePipeline: modules repeat what was not acknowledged, and do not filter what comes twice.
+
+        The index of a block fits its time, unless the block is of another node. A frame without a time shows no
+        restart; the next encoder block does.
+        """
+        if self._rules < _LATE_RULES or not self._air.is_behind(frame.seq):
+            return False
+        node_us = getattr(frame, "node_time_us", None)
+        if node_us is None or not self._time.is_late(node_us, host_ns):
+            return node_us is None
+        if not isinstance(frame, rotorlink.EncoderBlock) or self._next_index is None:
+            return True
+        due_us = self._next_us - (self._next_index - self._index(frame.first_index)) * frame.period_us
+        return abs(self._time.unwrap(node_us) - due_us) <= _MAX_INDEX_ERROR_US
 
     def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | DeviceEvent]:
         """Return an event about a frame of another sender or type, once for each."""
