@@ -22,18 +22,17 @@ LATE = 85  # blocks, 1.7 s: an acknowledgement of a Zigbee network is waited for
 class Radio:
     """A pipeline, and what it has returned; a block is sent when its last sample is due and arrives 5 ms later."""
 
-    def __init__(self, rules: int = NEWEST_RULES, first_seq: int = 65_500) -> None:
+    def __init__(self, rules: int = NEWEST_RULES, first_seq: int = 65_500, first_index: int = 0) -> None:
         self.pipeline = pipeline(clock_rules=rules)
         self.items: list[Batch | DeviceEvent] = []
-        self._first_seq = first_seq
+        self._first_seq, self._first_index = first_seq, first_index
 
     def payload(self, i: int, up_ms: int = UP_MS) -> bytes:
         numbers = np.arange(SAMPLES) + SAMPLES * i
         counts = np.column_stack([3 * numbers, 2048 - numbers]).astype(np.int32)
-        time_us = 1000 * (up_ms + BLOCK_MS * i)
-        return rotorlink.EncoderBlock(
-            1, (self._first_seq + i) & 0xFFFF, int(numbers[0]), time_us, 4000, 96, counts
-        ).pack()
+        seq, index = (self._first_seq + i) & 0xFFFF, self._first_index + int(numbers[0])
+        time_us = 1000 * (up_ms + BLOCK_MS * i) % 2**32
+        return rotorlink.EncoderBlock(1, seq, index, time_us, 4000, 96, counts).pack()
 
     def arrives(self, payload: bytes, at_block: float) -> None:
         host_ns = START_NS + int(1_000_000 * (BLOCK_MS * (at_block + 1) + 5))
@@ -49,7 +48,8 @@ class Radio:
         return self
 
     def values(self, name: str) -> list[Any]:
-        return [v for each in self.items if isinstance(each, Batch) for v in each.columns[name].tolist()]
+        batches = [each for each in self.items if isinstance(each, Batch)]
+        return [v for each in batches for v in each.columns[name].tolist()]
 
     @property
     def times_ms(self) -> list[float]:
@@ -125,21 +125,54 @@ def test_blocks_wait_from_the_first_late_one_on_although_gaps_were_not_filled() 
     assert radio.values("index") == samples_of(range(61, 63)), "they do not wait"
 
 
-@pytest.mark.parametrize("late_by", [1, 40])
-def test_other_late_frames_are_neither_taken_nor_a_restart(late_by: int) -> None:
+def test_blocks_that_arrive_late_while_the_node_s_clock_wraps_are_no_restart() -> None:
+    radio = Radio(first_index=1_000_000)
+    for i in range(300):
+        radio.arrives(radio.payload(i, 4_294_967 - 1000), i)
+        if i >= LATE:
+            radio.arrives(radio.payload(i - LATE, 4_294_967 - 1000), i + 0.5)
+    radio.ends()
+    assert radio.values("index") == [1_000_000 + k for k in samples_of(range(300))]
+    assert (radio.losses, radio.kinds()) == ({}, [])
+
+
+@pytest.mark.parametrize("late_by", [1, 40, 90])
+@pytest.mark.parametrize("up_ms", [500, UP_MS])
+def test_other_late_frames_are_neither_taken_nor_a_restart(late_by: int, up_ms: int) -> None:
     frames = (
-        rotorlink.IndexMark(1, 65_510, 1000 * (UP_MS + 200), 4),
+        rotorlink.IndexMark(1, 65_510, 1000 * (up_ms + 200), 4),
         rotorlink.Acknowledge(1, 65_510, 3, 0),
-        rotorlink.NodeStatus(1, 65_510, 1000 * (UP_MS + 200), 3700, 250, 8, 0, 1, 4, 4096),
+        rotorlink.NodeStatus(1, 65_510, 1000 * (up_ms + 200), 3700, 250, 8, 0, 1, 4, 4096),
     )
     for frame in frames:
         radio = Radio()
-        radio.blocks(0, 11 + late_by, {10})
+        for i in [*range(10), *range(11, 11 + late_by)]:
+            radio.arrives(radio.payload(i, up_ms), i)
         radio.arrives(frame.pack(), 10.5 + late_by)
-        radio.blocks(11 + late_by, 60)
+        for i in range(11 + late_by, 110):
+            radio.arrives(radio.payload(i, up_ms), i)
         radio.ends()
         assert radio.kinds() == ["gap", "gap"]
-        assert radio.values("index") == samples_of(range(10), range(11, 60))
+        assert radio.values("index") == samples_of(range(10), range(11, 110))
+
+
+def test_of_a_node_without_blocks_a_mark_shows_the_restart() -> None:
+    radio = Radio()
+    for seq, us in ((500, 30_000_000), (501, 31_000_000), (500, 30_000_000), (0, 1_000_000), (1, 2_000_000)):
+        radio.arrives(rotorlink.IndexMark(1, seq, us, 1).pack(), 100)
+    assert radio.values("node_time_us") == [30_000_000, 31_000_000, 1_000_000, 2_000_000]
+    assert radio.kinds() == ["restart"]
+
+
+def test_after_a_restart_in_the_first_seconds_a_block_shows_it() -> None:
+    radio, again = Radio(first_seq=100), Radio(first_seq=1)
+    for i in range(100):
+        radio.arrives(radio.payload(i, up_ms=0), i)
+    radio.arrives(rotorlink.IndexMark(1, 0, 1_000, 0).pack(), 149)
+    for i in range(30):
+        radio.arrives(again.payload(i, up_ms=0), 150 + i)
+    assert radio.kinds() == ["restart"]
+    assert radio.ends().values("index") == samples_of(range(100), range(30))
 
 
 @pytest.mark.parametrize("silent_ms", [0, 3000, 9000])
@@ -179,6 +212,6 @@ def test_a_late_block_whose_index_does_not_fit_its_time_is_of_another_node(off_m
 )
 def test_what_a_restart_cannot_explain_is_late(behind_us: int, up_us: int, passed_us: int, late: bool) -> None:
     clock = SenderClock()
-    assert not clock.is_late(up_us, START_NS)
+    assert not clock.is_late(up_us, START_NS, up_us)
     clock.has_restarted((up_us + behind_us) % 2**32, START_NS)
-    assert clock.is_late(up_us, START_NS + 1000 * passed_us) is late
+    assert clock.is_late(up_us, START_NS + 1000 * passed_us, up_us) is late

@@ -41,7 +41,7 @@ class SenderClock:
             self._newest = newest_us + ahead_us, host_ns
         return False
 
-    def is_late(self, sender_us: int, host_ns: int) -> bool:
+    def is_late(self, sender_us: int, host_ns: int, up_us: int) -> bool:
         """Whether a frame was sent before the newest one, by up to 10 s, and not after a restart of the sender.
 
         A sender that has restarted since the newest frame cannot have run for longer than since then.
@@ -49,13 +49,14 @@ class SenderClock:
         Args:
             sender_us: time of the sender in the frame, µs, wrapped.
             host_ns: host time of the frame, ns since 1970.
+            up_us: time for which the sender had run when it sent the frame, µs, or less.
         """
         if self._newest is None:
             return False
         newest_us, newest_ns = self._newest
         passed_us = max(0, host_ns - newest_ns) // 1000
         behind_us = newest_us - self.unwrap(sender_us)
-        return 0 < behind_us <= _MAX_RADIO_LATE_US and sender_us > passed_us + _MAX_RADIO_LATE_US
+        return 0 < behind_us <= _MAX_RADIO_LATE_US and up_us > passed_us + _MAX_RADIO_LATE_US
 
     def unwrap(self, sender_us: int) -> int:
         """Return the unwrapped time, µs, of a wrapped time near the newest one."""

@@ -13,6 +13,7 @@ from daq.items import TX, Batch, DeviceEvent
 
 _LATE_RULES = 8  # rules of a log since which a late frame is not a restart of the node
 _MAX_INDEX_ERROR_US = 100_000  # of a late block's time, from its index; a node's period is not exact
+_LONG_US = 2**63  # longer than any node runs
 _NO_FRAME_NS = 2_000_000_000  # of bytes without an API frame, after which the module is in another mode …
 _NO_FRAME_BYTES = 2 * framing.MAX_FRAME_BYTES  # … if there are more than those of any frame
 _MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
@@ -133,15 +134,20 @@ class XBeePipeline(NodePipeline):
     def _is_late(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> bool:
         """See NodePipeline: modules repeat what was not acknowledged, and do not filter what comes twice.
 
-        The index of a block fits its time, unless the block is of another node. A frame without a time shows no
-        restart; the next encoder block does.
+        A block shows by its index, which does not wrap for weeks, for how long its node has run. Its index fits its
+        time, unless the block is of another node. Other frames show no restart if blocks do.
         """
         if self._rules < _LATE_RULES or not self._air.is_behind(frame.seq):
             return False
-        node_us = getattr(frame, "node_time_us", None)
-        if node_us is None or not self._time.is_late(node_us, host_ns):
-            return node_us is None
-        if not isinstance(frame, rotorlink.EncoderBlock) or self._next_index is None:
+        node_us: int | None = getattr(frame, "node_time_us", None)
+        if node_us is None:
+            return True
+        if not isinstance(frame, rotorlink.EncoderBlock):
+            up_us = node_us if self._next_index is None else _LONG_US
+            return self._time.is_late(node_us, host_ns, up_us)
+        if not self._time.is_late(node_us, host_ns, max(node_us, frame.first_index * frame.period_us)):
+            return False
+        if self._next_index is None:
             return True
         due_us = self._next_us - (self._next_index - self._index(frame.first_index)) * frame.period_us
         return abs(self._time.unwrap(node_us) - due_us) <= _MAX_INDEX_ERROR_US
