@@ -6,6 +6,7 @@ _WRAP_US = 2**32
 _MAX_LATE_US = 1_000_000  # a frame older than the newest by up to this is late, not a step back of the clock
 _MAX_HOST_LATE_US = 120_000_000  # largest lateness of a host
 _MAX_RADIO_LATE_US = 10_000_000  # of a frame that a radio repeats; a Zigbee module ends its tries after 4.8 s
+_MAX_NEWEST_LATE_US = 2_000_000  # of the newest frame, which is seldom a repeated one
 
 
 class SenderClock:
@@ -56,7 +57,7 @@ class SenderClock:
         newest_us, newest_ns = self._newest
         passed_us = max(0, host_ns - newest_ns) // 1000
         behind_us = newest_us - self.unwrap(sender_us)
-        return 0 < behind_us <= _MAX_RADIO_LATE_US and up_us > passed_us + _MAX_RADIO_LATE_US
+        return 0 < behind_us <= _MAX_RADIO_LATE_US and up_us > passed_us + _MAX_NEWEST_LATE_US
 
     def unwrap(self, sender_us: int) -> int:
         """Return the unwrapped time, µs, of a wrapped time near the newest one."""
