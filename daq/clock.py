@@ -114,7 +114,10 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - the place of a sample in a scan is compared with the number of samples that wait in the device, and the number of
       skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
 
-    From 8 on, the answer of a CANopen encoder to a SYNC may come after the next one, however long the host stood still.
+    From 8 on:
+
+    - the answer of a CANopen encoder to a SYNC may come after the next one, however long the host stood still;
+    - frames of a node behind XBee modules that arrive late or twice are no restart of the node.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

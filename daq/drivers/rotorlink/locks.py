@@ -54,7 +54,7 @@ class NodeLocks:
                 if self._settles(action, event):
                     return
             self._unanswered(action)
-        raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. Is the radio in reach?")
+        raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. {self._advice()}")
 
     def _transmit(self, payload: bytes) -> None:
         """Send a command in the format of the node's dongle."""
@@ -75,3 +75,7 @@ class NodeLocks:
 
     def _unanswered(self, action: str) -> None:
         """Handle a try without an answer; subclasses raise DeviceError if further tries are useless."""
+
+    def _advice(self) -> str:
+        """Return what to look at after the last try."""
+        return "Is the radio in reach?"

@@ -5,6 +5,8 @@ from __future__ import annotations
 _WRAP_US = 2**32
 _MAX_LATE_US = 1_000_000  # a frame older than the newest by up to this is late, not a step back of the clock
 _MAX_HOST_LATE_US = 120_000_000  # largest lateness of a host
+_MAX_RADIO_LATE_US = 10_000_000  # of a frame that a radio repeats; a Zigbee module ends its tries after 4.8 s
+_MAX_NEWEST_LATE_US = 2_000_000  # of the newest frame, which is seldom a repeated one
 
 
 class SenderClock:
@@ -39,6 +41,23 @@ class SenderClock:
         if ahead_us > 0:
             self._newest = newest_us + ahead_us, host_ns
         return False
+
+    def is_late(self, sender_us: int, host_ns: int, up_us: int) -> bool:
+        """Whether a frame was sent before the newest one, by up to 10 s, and not after a restart of the sender.
+
+        A sender that has restarted since the newest frame cannot have run for longer than since then.
+
+        Args:
+            sender_us: time of the sender in the frame, µs, wrapped.
+            host_ns: host time of the frame, ns since 1970.
+            up_us: time for which the sender had run when it sent the frame, µs, or less.
+        """
+        if self._newest is None:
+            return False
+        newest_us, newest_ns = self._newest
+        passed_us = max(0, host_ns - newest_ns) // 1000
+        behind_us = newest_us - self.unwrap(sender_us)
+        return 0 < behind_us <= _MAX_RADIO_LATE_US and up_us > passed_us + _MAX_NEWEST_LATE_US
 
     def unwrap(self, sender_us: int) -> int:
         """Return the unwrapped time, µs, of a wrapped time near the newest one."""

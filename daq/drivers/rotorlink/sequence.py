@@ -32,6 +32,10 @@ class SequenceCounter:
         self.lost += lost
         return lost
 
+    def is_behind(self, seq: int) -> bool:
+        """Whether a number is before the newest one, by less than half the wrap."""
+        return self._last is not None and 0 < (self._last - seq) & 0xFFFF < 0x8000
+
     def feed(self, seq: int, *, again: bool = False) -> tuple[int, bool]:
         """Take the seq of the next frame.
 

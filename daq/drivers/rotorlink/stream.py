@@ -177,11 +177,12 @@ class NodePipeline:
         if not self._is_ours(frame, out):
             return out
         block = frame if isinstance(frame, rotorlink.EncoderBlock) else None
-        again = block is not None and bool(block.flags & rotorlink.FLAG_REPEATS)
+        late = self._is_late(frame, host_ns)
+        again = late or (block is not None and bool(block.flags & rotorlink.FLAG_REPEATS))
         node_us = None if again else getattr(frame, "node_time_us", None)
         span_s = 0.0 if node_us is None or self._last_us is None else _seconds(self._last_us, node_us)
         lost, repeated, restarted = self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
-        if repeated and not again:
+        if repeated and (not again or block is None):
             return out
         if restarted:
             out += self.waited()
@@ -194,14 +195,20 @@ class NodePipeline:
         if not repeated:
             self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
-        return [*out, *self._content(frame, host_ns)]
+        return [*out, *self._content(frame, host_ns, late)]
 
-    def _content(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
+    def _is_late(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> bool:
+        """Whether the radio itself delivers a frame late, or once more; overridden for radios that do so."""
+        return False
+
+    def _content(
+        self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int, late: bool
+    ) -> list[Batch | DeviceEvent]:
         """Return the samples and events of a node frame that has been counted."""
         match frame:
             case rotorlink.EncoderBlock():
                 arrived = Arrived(self._index(frame.first_index), frame, host_ns)
-                return self._blocks(self._repeats.feed(arrived, self._next_index))
+                return self._blocks(self._repeats.feed(arrived, self._next_index, late=late))
             case rotorlink.IndexMark() if self._marks_phase:
                 node_us = np.array([self._time.unwrap(frame.node_time_us)])
                 time_ns = self._clock.map(node_us * 1000, host_ns)

@@ -61,3 +61,12 @@ class XBeeLocks(NodeLocks):
                 "node's power, its module and node_address in the rig file. If it was delivered nevertheless, the lock "
                 "events show it"
             )
+
+    def _advice(self) -> str:
+        """See NodeLocks."""
+        if self._failures or self._legacy:
+            return super()._advice()
+        return (
+            f"{super()._advice()} Is the module at the host a first-generation 802.15.4 module? It executes no request "
+            "of type 10h, and does not report this: set legacy_transmit = true"
+        )
