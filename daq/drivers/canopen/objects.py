@@ -81,7 +81,7 @@ class _SdoClient(SdoClient):
     def _take_answer(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """Take an answer, unless it is a late answer to another request, or no answer is expected."""
         asked = self._requested
-        if not asked or data[1:4] != asked[1:]:
+        if not asked or bytes(data[1:4]) != asked[1:]:
             return
         if data[0] == _ABORTED or data[0] & _KIND == _ANSWERS.get(asked[0] & _KIND):
             self._exchange.on_response(can_id, data, timestamp)
