@@ -66,7 +66,7 @@ def test_any_request_gets_eight_bytes_that_name_its_object(request: bytes) -> No
     assert answer[1:4] == request[1:4]
 
 
-def test_a_late_answer_to_a_read_does_not_confirm_a_write() -> None:
+def test_a_late_answer_to_a_read_does_not_end_a_write() -> None:
     """A slow node answers the reading of an object after the host has begun to write it."""
     sent: list[bytes] = []
 
