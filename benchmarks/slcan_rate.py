@@ -126,13 +126,13 @@ def drive() -> Pipeline:
     return DrivePipeline("bus", MotorDrive.model_validate({"driver": "cia402", "port": "p", "node_id": 5}))
 
 
-def ours(path: Path, frames: int, make: Callable[[], Pipeline]) -> Callable[[str, Callable[[], None]], Result]:
-    """Return the recording of a port, which ends after all bytes of the text."""
+def ours(path: Path, size: int, make: Callable[[], Pipeline]) -> Callable[[str, Callable[[], None]], Result]:
+    """Return the recording of a port, which ends after all `size` bytes of the text."""
 
     def receive(port: str, ready: Callable[[], None]) -> Result:
         clock, pipeline = HostClock(), make()
         done, arrived = threading.Event(), list[tuple[Batch, int]]()
-        state = {"frames": 0, "flush": 0, "began": 0.0, "cpu": 0.0, "ended": 0.0, "errors": 0}
+        state = {"frames": 0, "bytes": 0, "flush": 0, "began": 0.0, "cpu": 0.0, "ended": 0.0, "errors": 0}
 
         def write_out() -> None:
             by_topic: dict[str, list[tuple[Batch, int]]] = {}
@@ -149,17 +149,22 @@ def ours(path: Path, frames: int, make: Callable[[], Pipeline]) -> Callable[[str
             if not state["began"]:
                 state["began"], state["cpu"], state["flush"] = time.perf_counter(), time.process_time(), host_ns
             log.raw("bus", RX, data, host_ns)
+            decode(data, host_ns)
+            if host_ns - state["flush"] > _FLUSH_NS:
+                state["flush"] = host_ns
+                write_out()
+            state["bytes"] += len(data)
+            if state["bytes"] >= size:
+                decode(b"", host_ns)  # the end of the log
+                done.set()
+
+        def decode(data: bytes, host_ns: int) -> None:
             for item in pipeline.feed(RX, data, host_ns):
                 if isinstance(item, Batch):
                     arrived.append((item, host_ns))
                     state["frames"] += len(item.time_ns)
                 else:
                     log.event(item, host_ns)
-            if host_ns - state["flush"] > _FLUSH_NS:
-                state["flush"] = host_ns
-                write_out()
-            if state["frames"] >= frames:
-                done.set()
 
         def failed(error: Exception) -> None:
             print(f"failed: {error}")
@@ -216,10 +221,9 @@ def main() -> None:
         for make in (displacements, drive):
             make().feed(RX, warm, 0)
         for _ in range(arguments.repeats):
-            own = arguments.frames
-            found["displacements"].append(_on_pty(text, ours(path, own, displacements)))
+            found["displacements"].append(_on_pty(text, ours(path, len(text), displacements)))
             path.unlink()
-            found["drive"].append(_on_pty(text, ours(path, own // 2, drive)))
+            found["drive"].append(_on_pty(text, ours(path, len(text), drive)))
             path.unlink()
             found["python-can"].append(_on_pty(short, lambda port, ready: peer(port, ready, arguments.peer_frames)))
     whole = {"displacements": (arguments.frames, bad), "drive": (arguments.frames // 2, bad)}

@@ -24,7 +24,7 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 8
+FIRST_RULES, NEWEST_RULES = 1, 9
 _IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
@@ -118,6 +118,11 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     - the answer of a CANopen encoder to a SYNC may come after the next one, however long the host stood still;
     - frames of a node behind XBee modules that arrive late or twice are no restart of the node.
+
+    From 9 on:
+
+    - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late by less than 0.1 s and
+      no whole cycles of their counter are missing, the host was late.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

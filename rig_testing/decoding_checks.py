@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from daq.drivers.contract import Pipeline
+from daq.drivers.contract import Pipeline, SampleClock
 from daq.items import RX, Batch, DeviceEvent
 from rig_testing.bench import Items
 from rig_testing.report import Failed, NotTried, need
@@ -20,6 +21,8 @@ _JOINED_NS = 40_000_000
 _SAME_NS = 20_000_000  # by which other cuts may move a sample's time; joined reads move host times themselves
 _LONGEST_WRAP_S = 100.0
 _CLOCK_WRAPS_S = {"2³² µs": 2**32 * 1e-6, "2³² · 10 µs": 2**32 * 1e-5, "2³² ms": 2**32 * 1e-3, "2¹⁶ ms": 2**16 * 1e-3}
+_ENDS = 12
+_LAST_READS_NS, _LATE_NS = 60_000_000, 50_000_000
 # Reads that lose bytes; short ones count if there are too few long ones.
 _LONG_READ_BYTES, _SHORT_READ_BYTES = 12, 6
 _FLOOD_BYTES, _MOST_BYTES = 1 << 20, 1 << 19
@@ -200,6 +203,55 @@ def _counted(subject: Subject, reads: Reads, what: str) -> str:
         )
         return f"{_kinds(counted)}, exactly"
     return _kinds(counted)
+
+
+def check_end(subject: Subject) -> str:
+    """A log may end after any read: samples that wait are given then, once, and none is lost without being counted."""
+    if not subject.clocks:
+        raise NotTried("its samples have no clock: a missing one cannot be detected")
+    reads, largest = subject.tape.reads, 0
+    incoming = [number for number, read in enumerate(reads) if read[0] == RX]
+    places = np.random.default_rng(19).choice(incoming[len(incoming) // 2 :], min(_ENDS, len(incoming) // 2), False)
+    for place in places.tolist():
+        log = reads[: place + 1]
+        whole, _, _ = _to_the_end(subject, log)
+        late_ns = log[-1][2] - _LAST_READS_NS
+        late: Reads = [(direction, data, ns + _LATE_NS if ns > late_ns else ns) for direction, data, ns in log]
+        missed = max(number for number in incoming if number < place)
+        for how, ending, may_miss in (
+            ("in time", log, False),
+            ("with late reads", late, False),
+            ("after a lost read", [read for number, read in enumerate(log) if number != missed], True),
+        ):
+            items, given, counted = _to_the_end(subject, ending)
+            largest = max(largest, given)
+            missing = sum(_missing(clock, whole, items, to_the_last=may_miss) for clock in subject.clocks)
+            known = missing <= counted or (counted > 0 and not subject.claims("counts exactly"))
+            need(known, f"a log that ends {how}: {missing} samples are missing, {counted} counted as lost")
+    return f"{len(places)} logs cut off; {largest} samples given at an end"
+
+
+def _to_the_end(subject: Subject, log: Reads) -> tuple[Items, int, int]:
+    """Return all items of a log, the number of samples that its end has given, and the number of lost samples."""
+    items, pipeline = subject.decode(log)
+    given = pipeline.feed(RX, b"", log[-1][2])
+    again = pipeline.feed(RX, b"", log[-1][2])
+    need(not any(isinstance(item, Batch) for item in again), "samples are given again at a second end")
+    count = sum(len(subject.rows(given, topic)) for topic in subject.constant)
+    return [*items, *given], count, lost(subject.tape.losses, pipeline.losses).get("samples", 0)
+
+
+def _missing(clock: SampleClock, whole: Items, items: Items, *, to_the_last: bool) -> int:
+    """Return how many samples of a log are missing; `to_the_last`: of those up to the last one that is there."""
+    expected, found = (_numbers(clock, some) for some in (whole, items))
+    if to_the_last:
+        expected = expected[: int(np.flatnonzero(expected == found[-1])[-1]) + 1] if len(found) else found
+    return len(expected) - len(found)
+
+
+def _numbers(clock: SampleClock, items: Items) -> NDArray[np.float64]:
+    found = together(items, clock.topic)
+    return np.zeros(0) if found is None else np.asarray(found.columns[clock.field], np.float64)
 
 
 def check_restart(subject: Subject) -> str:

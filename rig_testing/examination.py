@@ -31,6 +31,7 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "garbage": decoding_checks.check_garbage,
     "damage": decoding_checks.check_damage,
     "lost reads": decoding_checks.check_lost_reads,
+    "end": decoding_checks.check_end,
     "restart": decoding_checks.check_restart,
     "counter wrap": decoding_checks.check_counter_wrap,
     "clock wrap": decoding_checks.check_clock_wrap,

@@ -85,7 +85,7 @@ def test_older_samples_change_the_map_before_the_third_rules(rules: int, same: b
 
 
 def test_the_rules_of_a_log_are_those_of_its_identity_or_the_newest() -> None:
-    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [8, 1, 2]
+    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [9, 1, 2]
 
 
 @pytest.mark.parametrize(("drift", "rate"), [(1e-4, 1e-4), (-1e-4, -1e-4), (1e-3, 2.5e-4), (-1e-3, -2.5e-4)])

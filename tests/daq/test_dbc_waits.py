@@ -12,7 +12,7 @@ import pytest
 from daq.drivers.dbc.driver import DRIVER
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.dbc.stream import CanPipeline
-from daq.items import RX, Batch, DeviceEvent
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.slcan import CanFrame, encode
 
 MS = 1_000_000
@@ -221,3 +221,65 @@ def test_what_a_host_reads_in_small_pieces_is_not_lost() -> None:
         text = b"".join(frame(number, ms, 8) for ms, number in sent[at:end])
         found, at = found + line.feed(RX, text, START_NS + read_ms * MS), end
     assert (line.losses["samples"], kinds(found)) == (0, [])
+
+
+def ended(line: CanPipeline, found: Items) -> Items:
+    """What was found, with what the pipeline gives at the end of the log."""
+    assert line.feed(TX, b"", START_NS + 9000 * MS) == []
+    return found + line.feed(RX, b"", START_NS + 9000 * MS)
+
+
+def samples(items: Items) -> int:
+    return sum(len(item.time_ns) for item in items if isinstance(item, Batch))
+
+
+@pytest.mark.parametrize(("rules", "missing"), [(9, 0), (8, 20)])
+def test_frames_that_wait_at_the_end_of_a_log_are_decoded(rules: int, missing: int) -> None:
+    """The last 20 frames are late by 60 ms: no later read shows why. Without a counter cycle in it, nothing is lost."""
+    line = bus(identity={"clock_rules": rules})
+    sent = [(ms, ms) for ms in range(2000)]
+    found = heard(line, sent[:1980], range(10, 1981, 10))
+    text = b"".join(frame(number, ms) for ms, number in sent[1980:])
+    found += line.feed(RX, text, START_NS + 2060 * MS)
+    found = ended(line, found)
+    assert (samples(found), line.losses["samples"], kinds(found)) == (2000 - missing, 0, [])
+    assert np.abs(errors_ms(found)).max() < 3.0
+    assert line.feed(RX, b"", START_NS + 9000 * MS) == []
+
+
+def test_a_gap_before_the_last_frame_of_a_log_is_counted() -> None:
+    line = bus(8)
+    sent = [(ms, ms) for ms in range(2000)] + [(2005, 2005)]
+    found = heard(line, sent, [*range(10, 2001, 10), 2006], 8)
+    assert samples(found) == 2000
+    found = ended(line, found)
+    assert (samples(found), line.losses["samples"], kinds(found)) == (2001, 5, ["gap"])
+
+
+@pytest.mark.parametrize(("rules", "late_ms", "expected"), [(9, 40, []), (8, 40, ["gap", "restart"])])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_host_that_stays_busy_for_long_is_no_restart_of_the_sensor(
+    bits: int, rules: int, late_ms: int, expected: list[str]
+) -> None:
+    """All reads of half a second are late by less than a tenth of a second, and by no whole cycles of the counter."""
+    line = bus(bits, identity={"clock_rules": rules})
+    sent = [(ms, ms) for ms in range(4000)]
+    found = heard(line, sent[:2000], range(10, 2001, 10), bits)
+    at = 2000
+    for read_ms in range(2000 + late_ms, 2500, 20):
+        text = b"".join(frame(number, ms, bits) for ms, number in sent[at : read_ms - late_ms])
+        found, at = found + (line.feed(RX, text, START_NS + read_ms * MS) if text else []), read_ms - late_ms
+    found += heard(line, sent[at:], range(2510, 4001, 10), bits)
+    assert kinds(found) == expected
+    if not expected:
+        assert (samples(found), line.losses["samples"]) == (4000, 0)
+        assert np.abs(errors_ms(found)).max() < 3.0
+
+
+@pytest.mark.parametrize(("late_ms", "restarts"), [(99, 0), (101, 1)])
+def test_a_sensor_that_stays_late_by_a_tenth_of_a_second_has_restarted(late_ms: int, restarts: int) -> None:
+    """Its counter goes on from where it was, as one does that begins at a number that happens to follow."""
+    line = bus(16)
+    sent = [(ms, ms) for ms in range(2000)] + [(ms + late_ms, ms) for ms in range(2000, 4000)]
+    found = heard(line, sent, range(1, 4101), 16)
+    assert kinds(found).count("restart") == restarts

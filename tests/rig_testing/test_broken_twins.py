@@ -211,6 +211,22 @@ def drops_losses(pipeline: Any, given: Any, direction: int, data: bytes, host_ns
     return out
 
 
+def waits_after_a_late_read(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    """Samples wait for a second after a read that came late, whether the log ends or not."""
+    waiting, newest_ns, until_ns = getattr(pipeline, "state", ([], host_ns, 0))
+    waiting += given(direction, data, host_ns)
+    until_ns = host_ns + 10**9 if host_ns - newest_ns > 40_000_000 else until_ns
+    pipeline.state = ([], host_ns, until_ns) if host_ns > until_ns else (waiting, host_ns, until_ns)
+    return waiting if host_ns > until_ns else []
+
+
+def gives_twice(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+    """Every end of a log gives the last samples."""
+    if data:
+        pipeline.newest = given(direction, data, host_ns)
+    return pipeline.newest
+
+
 def miscounts(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
     before = pipeline.losses["samples"]
     out = given(direction, data, host_ns)
@@ -299,6 +315,13 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
     "lost bytes dropped": ("damage", lambda: with_pipeline(Cia402, drops_losses), "no loss was counted"),
     "losses without an event": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event reports it"),
     "a claim that does not hold": ("lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
+    "samples that wait for ever": (
+        "end",
+        lambda: with_pipeline(OptoNcdt, waits_after_a_late_read),
+        "samples are missing, 0 counted",
+    ),
+    "an end that gives again": ("end", lambda: with_pipeline(OptoNcdt, gives_twice), "given again"),
+    "a loss that no end shows": ("end", lambda: with_pipeline(OptoNcdt, drops_losses), "0 counted as lost"),
     "deaf after a restart": (
         "restart",
         lambda: with_pipeline(OptoNcdt, ends_at_a_restart),

@@ -115,7 +115,7 @@ def test_broken_twins_fail_for_the_right_reason(python: str, tmp_path: Path) -> 
     (tmp_path / "twins.py").write_text(TWINS)
     for name, reasons in (
         ("UNCHECKED", {"mutations": "claims a checksum"}),
-        ("FORGETFUL", {"damage": "claims to count exactly", "lost reads": "no loss was counted"}),
+        ("FORGETFUL", {"damage": "claims to count exactly", "lost reads": "no loss was counted", "end": "0 counted"}),
     ):
         out = ran(python, tmp_path, *rig("driver", "check", f"twins:{name}", "--json"), code=1)
         failed = {each["test"]: each["why"] for each in json.loads(out)["failed"]}

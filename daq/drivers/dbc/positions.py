@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from daq.drivers.dbc.lateness import LateGap, Lateness
 
+LATE_NS = 100e6
+"""Delay of a host that is not taken for lost frames, ns."""
 _MOST_BITS = 62
 _EARLY_NS = 10e6  # by which a frame may be earlier than the least delayed ones before it
-_LATE_NS = 100e6  # delay of a host that is not taken for lost frames
 _LEAK = 1e-3  # rate at which the least delay may grow, above the error of any clock or stated rate
 _REST_NS = 20e6  # by which the lateness after a gap may differ from whole cycles of the counter
 _LEAST_LATE_NS = 5e6  # lateness that is looked at: busy hosts cause less
@@ -70,11 +71,14 @@ class Positions:
         bits: number of bits.
         step: numbers from one frame to the next: 1 of a counter, the sampling period of a timestamp.
         looks_ahead: whether a jump is compared with the frame after it, and late frames may wait.
+        busy_ns: lateness below which frames are late because of the host unless whole cycles are missing, ns.
     """
 
-    def __init__(self, unit_ns: float, bits: int, step: float, *, looks_ahead: bool = False) -> None:
+    def __init__(
+        self, unit_ns: float, bits: int, step: float, *, looks_ahead: bool = False, busy_ns: float = 0.0
+    ) -> None:
         self.wrap: int = 2 ** min(bits, _MOST_BITS)
-        self._unit_ns, self._step = unit_ns, step
+        self._unit_ns, self._step, self._busy_ns = unit_ns, step, busy_ns
         self._last: int | None = None  # position of the newest frame
         self._odd: int | None = None  # number of the newest frame that was not kept
         self._least_ns = math.inf  # least delay so far
@@ -172,7 +176,7 @@ class Positions:
                 if restarted:
                     placed.restarts.append(len(positions))
                     offset = (last + step - number) % self.wrap
-                if restarted or (more and stamps is None and self.wrap * self._unit_ns < _LATE_NS):
+                if restarted or (more and stamps is None and self.wrap * self._unit_ns < LATE_NS):
                     placed.about.add(len(positions))
             self._odd = None
             self._stamp = int(stamps.values[index]) if stamps else 0
@@ -212,13 +216,13 @@ class Positions:
         turns = max(0, round(late.late_ns / (self.wrap * self._unit_ns)))
         rest_ns = abs(late.late_ns - turns * self.wrap * self._unit_ns)
         if rest_ns > _REST_NS + _LEAK * late.silent_ns + late.spread_ns:  # no cycle of the counter explains it
-            return round(late.late_ns / self._unit_ns), True
+            return (0, False) if late.late_ns < self._busy_ns else (round(late.late_ns / self._unit_ns), True)
         return turns * self.wrap, False
 
     def _turns(self, late_ns: float) -> int:
         """Return how often the counter has begun again in a gap, from the delay of its end by the host's clock."""
         wrap_ns = self.wrap * self._unit_ns
-        if late_ns < max(wrap_ns - _EARLY_NS, _LATE_NS):
+        if late_ns < max(wrap_ns - _EARLY_NS, LATE_NS):
             return 0
         return int((late_ns + _EARLY_NS) / wrap_ns)
 
@@ -229,6 +233,6 @@ class Positions:
         """
         passed = (int(stamps.values[index]) - self._stamp) % stamps.wrap / stamps.step * self._step
         turns = max(0, round((passed - step) / self.wrap))
-        if abs(late_ns - turns * self.wrap * self._unit_ns) < _LATE_NS:
+        if abs(late_ns - turns * self.wrap * self._unit_ns) < LATE_NS:
             return turns
         return self._turns(late_ns)

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.dbc.layouts import FRAME_BYTES, MessageLayout, SignalLayout
-from daq.drivers.dbc.positions import Placed, Positions, Stamps
+from daq.drivers.dbc.positions import LATE_NS, Placed, Positions, Stamps
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
 
 NEW_RULES = 7
 """Rules from which frames wait that their number alone does not place, and a silent bus is no silent sensor."""
+_REST_RULES = 9
+"""Rules from which waiting frames are decoded at the end of a log, and a short lateness is the host's."""
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -53,10 +55,14 @@ class LaserStream:
         self._tolerance_ppm, self._rules = table.clock_tolerance_ppm, clock[0]
         self._clock = ClockMap(self._tolerance_ppm, self._rules, clock[1])
         ahead = self._rules >= NEW_RULES and group.timestamp is None
+        busy_ns = LATE_NS if self._rules >= _REST_RULES else 0.0
         self._frames = (
-            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead) if group.counter else None
+            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead, busy_ns=busy_ns)
+            if group.counter
+            else None
         )
         self._waiting = np.zeros((0, FRAME_BYTES), np.uint8)  # frames that are not placed yet
+        self._waiting_ns = 0  # time of the newest read of them
         self._times = (
             Positions(group.tick_ns, group.timestamp.bits.length, self._period_ns / group.tick_ns)
             if group.timestamp
@@ -80,14 +86,25 @@ class LaserStream:
         if not len(data):
             return []
         out: Items = [*self.watch.heard(host_ns)]
-        number = device = None
         if self._frames is not None and self._group.counter is not None:
             new = len(data)
             data = np.concatenate([self._waiting, data]) if len(self._waiting) else data
             undecided = self._frames.undecided(self._group.counter.raw(data), new, host_ns)
-            self._waiting = data if undecided else data[:0]
+            self._waiting, self._waiting_ns = (data if undecided else data[:0]), host_ns
             if undecided:
                 return out
+        return out + self._decided(data, host_ns)
+
+    def rest(self) -> Items:
+        """Decode the frames that still wait at the end of a log, with nothing but their counter to place them."""
+        data, self._waiting = self._waiting, self._waiting[:0]
+        return self._decided(data, self._waiting_ns) if len(data) and self._rules >= _REST_RULES else []
+
+    def _decided(self, data: NDArray[np.uint8], host_ns: int) -> Items:
+        """Decode frames of shape (n, 8), n ≥ 1, that do not wait any longer; `host_ns` belongs to the last one."""
+        out: Items = []
+        number = device = None
+        if self._frames is not None and self._group.counter is not None:
             number = self._frames.feed(self._group.counter.raw(data), host_ns, self._stamps(data))
             out += self._events(number)
             data = data[number.kept]

@@ -60,8 +60,10 @@ class CanPipeline:
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
-        if direction == TX or not data:
+        if direction == TX:
             return []
+        if not data:
+            return [item for laser in self._lasers for item in laser.rest()]
         out: Items = []
         if not self._joined:  # the first line of a log may be cut at its beginning: it is not decoded
             end = first_line_end(data)
