@@ -160,6 +160,8 @@ def record(
             follow_session(connection, session)
             with RecordingStatus(session) as status:
                 ended = _record_until(session, status, recording.duration, recording.until_silent)
+            if not listen:
+                session.warn_of_obstacles()
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
             unheard = [f"{device}: no byte was received{_WHILE_LISTENING * listen}" for device in session.unheard]
             path = session.stop_recording({"ended": ended})

@@ -245,7 +245,7 @@ def _missing(clock: SampleClock, whole: Items, items: Items, *, to_the_last: boo
     """Return how many samples of a log are missing; `to_the_last`: of those up to the last one that is there."""
     expected, found = (_numbers(clock, some) for some in (whole, items))
     if to_the_last:
-        expected = expected[: int(np.flatnonzero(expected == found[-1])[-1]) + 1] if len(found) else found
+        expected = expected[: int(np.argmin(np.abs(expected - found[-1]))) + 1] if len(found) else found
     return len(expected) - len(found)
 
 

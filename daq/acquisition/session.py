@@ -372,6 +372,11 @@ class Session:
         """Warnings shown to the operator. A run with warnings is not a clean run."""
         return self._core.notices
 
+    def warn_of_obstacles(self) -> None:
+        """Warn of each reason why the rotor must not be turned now, for example a sensor without valid readings."""
+        for text in self._core.interlocks.obstacles(self.clock.now_ns()):
+            self._execute(self._core.warn(text))
+
     @property
     def lenient(self) -> bool:
         """Whether deviations from the rig file are only reported, as `rig check` requires."""

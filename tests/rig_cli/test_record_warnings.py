@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import threading
 from pathlib import Path
@@ -41,6 +42,28 @@ def test_a_sensor_that_loses_power_at_rest_makes_the_run_not_clean(
     restarted = "laser_y: counter and timestamp do not continue: the sensor restarted. Its clock is not continuous"
     assert f"warning: {restarted}" in " ".join(err.split())
     assert err.rstrip().endswith(" (above): the run is not clean")
+
+
+def recorded(folder: Path, place_mm: float | None) -> int:
+    """Record a second of the virtual rig, with a target that is held before one of its sensors."""
+    with VirtualRigProcess("virtual", [], 4.0, waits=True) as far:
+        far.line.ask("place", device="laser_y", mm=place_mm)
+        ports = [word for setting in far.port_settings() for word in ("--set", setting)]
+        with patch("rig_cli.acquire.HostClock", lambda scale: far.clock):
+            return run(["record", "virtual", "--duration", "1", "-o", str(folder / "a.mcap"), "--json", *ports])
+
+
+def test_a_recording_of_a_sensor_without_a_target_is_not_clean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert recorded(tmp_path, 50.0) == 3
+    (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert warning.startswith("laser/y: most samples of the last")
+
+
+def test_a_recording_of_a_held_column_in_range_is_clean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert recorded(tmp_path, 2.0) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
 
 
 @pytest.mark.parametrize(
