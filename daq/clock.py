@@ -122,7 +122,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     From 9 on:
 
     - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late by less than 0.1 s and
-      no whole cycles of their counter are missing, the host was late.
+      no whole cycles of their counter are missing, the host was late; so it was if their timestamps agree with the
+      counter.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -283,3 +283,51 @@ def test_a_sensor_that_stays_late_by_a_tenth_of_a_second_has_restarted(late_ms: 
     sent = [(ms, ms) for ms in range(2000)] + [(ms + late_ms, ms) for ms in range(2000, 4000)]
     found = heard(line, sent, range(1, 4101), 16)
     assert kinds(found).count("restart") == restarts
+
+
+STAMPED = DBC.replace("LaserX: 4", "LaserX: 8").replace("16|4@", "16|8@") + ' SG_ Time : 32|32@1+ (1,0) [0|0] "us" N\n'
+
+
+def stamped(millisecond: int, stamp_ms: float) -> bytes:
+    body = (millisecond % 20_000).to_bytes(2, "little") + (millisecond % 256).to_bytes(2, "little")
+    return encode(CanFrame(0x101, body + int(stamp_ms * 1000).to_bytes(4, "little")))
+
+
+@pytest.mark.parametrize(
+    ("rules", "late_ms", "lost", "stamp", "counted"),
+    [
+        (9, 300, 20, 1.0, 20),
+        (8, 300, 20, 1.0, 276),  # the host's delay passed for a cycle of the counter
+        (9, 300, 300, 1.0, 300),
+        (9, 300, 20, 1.01, 20),  # a sensor slower than stated by 1 %
+        (9, 2000, 20, 1.0, 20),
+        (9, 0, 276, 1.0, 276),
+    ],
+)
+def test_a_late_host_does_not_contradict_timestamps_that_agree_with_the_numbers(
+    rules: int, late_ms: int, lost: int, stamp: float, counted: int
+) -> None:
+    line = bus(dbc_text=STAMPED, x={**X, "timestamp": "Time"}, identity={"clock_rules": rules}, timeout_s=10.0)
+    sent = [ms for ms in range(5000) if not 2000 <= ms < 2000 + lost]
+    found: Items = []
+    for before_ms in range(10, 5001, 10):  # each read returns what was sent in 10 ms, some of them late
+        late = 2000 <= before_ms < 2000 + lost + late_ms
+        text = b"".join(stamped(ms, ms * stamp) for ms in sent if before_ms - 10 <= ms < before_ms)
+        host_ms = 2000 + lost + late_ms if late else before_ms
+        found += line.feed(RX, text, START_NS + host_ms * MS) if text else []
+    assert (line.losses["samples"], kinds(ended(line, found))) == (counted, ["gap"])
+    assert np.abs(errors_ms(found)).max() < 3.0 or stamp != 1.0
+
+
+@pytest.mark.parametrize("rules", [8, 9])
+def test_a_gap_in_which_the_timestamps_begin_again_is_counted_by_the_hosts_time(rules: int) -> None:
+    """Timestamps of 2.048 s and a counter of 0.256 s agree on a gap of 20 frames; 2068 are missing."""
+    text = DBC.replace("LaserX: 4", "LaserX: 8").replace("16|4@", "16|8@") + ' SG_ Time : 32|11@1+ (1,0) [0|0] "ms" N\n'
+    line = bus(dbc_text=text, x={**X, "timestamp": "Time"}, identity={"clock_rules": rules}, timeout_s=10.0)
+    found: Items = []
+    for ms in range(6000):
+        if not 2000 <= ms < 4068:
+            body = (ms % 20_000).to_bytes(2, "little") + (ms % 256).to_bytes(2, "little")
+            data = encode(CanFrame(0x101, body + (ms % 2048).to_bytes(4, "little")))
+            found += line.feed(RX, data, START_NS + (ms + 1) * MS)
+    assert (line.losses["samples"], kinds(found)) == (2068, ["gap"])

@@ -71,7 +71,8 @@ class Positions:
         bits: number of bits.
         step: numbers from one frame to the next: 1 of a counter, the sampling period of a timestamp.
         looks_ahead: whether a jump is compared with the frame after it, and late frames may wait.
-        busy_ns: lateness below which frames are late because of the host unless whole cycles are missing, ns.
+        busy_ns: lateness below which frames are late because of the host unless whole cycles are missing, ns; 0: by
+            earlier rules there is none, and a late host contradicts right timestamps.
     """
 
     def __init__(
@@ -229,10 +230,15 @@ class Positions:
     def _stamped_turns(self, stamps: Stamps, index: int, step: int, late_ns: float) -> int:
         """Return how often the counter has begun again in a gap, from the timestamps at its ends.
 
-        A timestamp that the host's time contradicts is damaged, or began again too: then the host's time decides.
+        A timestamp that the host's time contradicts is damaged, or began again too: then the host's time decides. If
+        timestamp and number agree on whole cycles, only the host was late.
         """
         passed = (int(stamps.values[index]) - self._stamp) % stamps.wrap / stamps.step * self._step
         turns = max(0, round((passed - step) / self.wrap))
-        if abs(late_ns - turns * self.wrap * self._unit_ns) < LATE_NS:
+        later_ns = late_ns - turns * self.wrap * self._unit_ns
+        unlike = min(0.5 * self._step + _LEAK * passed, self.wrap / 4)
+        agree = self._busy_ns > 0 and abs(passed - step - turns * self.wrap) < unlike
+        unseen_ns = stamps.wrap / stamps.step * self._step * self._unit_ns - LATE_NS  # the timestamp began again
+        if -LATE_NS < later_ns < (max(unseen_ns, LATE_NS) if agree else LATE_NS):
             return turns
         return self._turns(late_ns)
