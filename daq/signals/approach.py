@@ -11,9 +11,10 @@ drift that fits growth or a straight line, and no approach that ends soon enough
 The longest series of newest windows that some rate fits is used, so that the rate is estimated from as many windows as
 possible. For this a width below 1 % of the newest windows' range counts as 1 %, because approaches are only nearly
 exponential. A mixture of two rates also fits one rate within 1 % of a large movement, and its slow part can leave far
-more than that rate would. Therefore two rates together and decaying oscillations are fitted as well, unless one rate
-explains the means within ± w or the newest means move by less than 10 w, and the larger bound is valid. If neither
-fits, the whole range of the newest means is taken as a change at the slowest rate.
+more than that rate would. Therefore two rates together and decaying oscillations are fitted as well, also to a longer
+series that they fit closely, unless one rate explains the means within ± w or the newest means move by less than 10 w,
+and the larger bound is valid. If neither fits, the whole range of the newest means is taken as a change at the slowest
+rate.
 Source: docs/theory/steady_states.md.
 """
 
@@ -41,6 +42,7 @@ _MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial
 # Times the least residual of two terms: other trial rates that may be the true ones. Fewer if no single rate fits: the
 # least residual is then that of the nearest shape.
 _RESIDUALS, _FEW_RESIDUALS = 3.0, 1.5
+_CLOSE = 1.5  # widths: residual up to which two terms continue beyond the windows that one rate fits
 _FAINT = 10.0  # widths: of means that move by less, two rates would describe the noise
 _RIDGE = 1e-9  # regularises two nearly equal shapes
 _MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
@@ -80,11 +82,17 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float, far: flo
     fits = ((count, _one_rate(edges_s[-count:], means[-count:], wide, average_s)) for count in tails)
     longest, one = next(((count, found) for count, found in fits if found is not None), (len(means), None))
     near = float(np.ptp(means[-3:])) < far and (one is None or math.isfinite(one.remaining))
-    for count in (each for each in tails if near and each <= longest):
-        if one is not None and (newest < _FAINT * width or _misfit(edges_s[-count:], means[-count:]) <= width):
+    if not near:
+        return one or _unexplained(edges_s[-MIN_WINDOWS:], means[-MIN_WINDOWS:], wide, average_s)
+    for count in tails:
+        since = -min(count, longest)
+        if one is not None and (newest < _FAINT * width or _misfit(edges_s[since:], means[since:]) <= width):
             return one
-        most = max(width, _MAX_RESIDUAL_SHARE * newest)
-        fit = (wide, _FEW_RESIDUALS) if one is None else (width, _RESIDUALS)
+        if count > longest:
+            fit, most = (width, _RESIDUALS), _CLOSE * _RESIDUALS * width
+        else:
+            fit = (wide, _FEW_RESIDUALS) if one is None else (width, _RESIDUALS)
+            most = max(width, _MAX_RESIDUAL_SHARE * newest)
         two = _two_terms(edges_s[-count:], means[-count:], *fit, most, average_s)
         if two is not None:
             return _larger(one, two)

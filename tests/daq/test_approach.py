@@ -141,3 +141,14 @@ def test_a_little_more_noise_makes_no_jump(rate: float) -> None:
     shape = ending / float(np.ptp(ending))
     found = [bound(edges, shape * widths_, 1.0, 6.0).remaining for widths_ in np.linspace(3.9, 4.2, 31)]
     assert max(later / earlier for earlier, later in pairwise(found)) < 1.15
+
+
+def test_windows_before_those_that_one_rate_fits_limit_what_two_rates_could_still_do() -> None:
+    """Means of a pendulum with a 12 bit code, degrees. One rate fits the newest 14 nearly within their width; two rates
+    that fit these alone could leave 0.6°, two that fit all 21 could not."""
+    values = [9.7182, 7.1123, 5.1763, 3.7499, 2.7106, 1.9538, 1.4079, 1.01, 0.7241, 0.518, 0.3678, 0.2608, 0.1836]
+    values += [0.1248, 0.0899, 0.0517, 0.0327, 0.0229, 0.0148, 0.0051, 0.0]
+    edges = windows(21) * 1.03663 / WINDOW_S
+    for width in (0.0045, 0.006, 0.0065, 0.009):
+        assert 0.012 < bound(edges, np.array(values), width, 6.0).remaining < 0.1
+    assert bound(edges[7:], np.array(values[7:]), 0.006, 6.0).remaining > 0.5
