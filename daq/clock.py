@@ -121,9 +121,9 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
 
     From 9 on:
 
-    - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late by less than 0.1 s and
-      no whole cycles of their counter are missing, the host was late; so it was if their timestamps agree with the
-      counter.
+    - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late, the host was late as
+      long as their counter goes on, their timestamps agree with it, or it is less than 0.1 s, unless whole cycles of
+      the counter are missing.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -217,7 +217,9 @@ class Positions:
         turns = max(0, round(late.late_ns / (self.wrap * self._unit_ns)))
         rest_ns = abs(late.late_ns - turns * self.wrap * self._unit_ns)
         if rest_ns > _REST_NS + _LEAK * late.silent_ns + late.spread_ns:  # no cycle of the counter explains it
-            return (0, False) if late.late_ns < self._busy_ns else (round(late.late_ns / self._unit_ns), True)
+            goes_on = self._busy_ns > 0 and place[1] == 1  # a sensor that starts again hardly goes on counting
+            is_host = goes_on or late.late_ns < self._busy_ns
+            return (0, False) if is_host else (round(late.late_ns / self._unit_ns), True)
         return turns * self.wrap, False
 
     def _turns(self, late_ns: float) -> int:
