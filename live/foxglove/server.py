@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import socket as sockets
 import threading
 import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -30,6 +31,8 @@ USUAL_PORT = 8765
 MOST_CLIENTS = 16
 _MAX_MESSAGE_BYTES, _MAX_UNREAD = 64 * 2**10, 4
 _SILENT_S, _CLOSE_S, _END_S = 20.0, 1.0, 5.0
+_UNSENT_BYTES = 256 * 2**10
+"""Send buffer of a connection; by default the system lets it grow to several MB of old messages."""
 _QUIET = logging.getLogger("live.foxglove")
 _QUIET.addHandler(logging.NullHandler())
 _QUIET.propagate = False  # port scanners are not reported to the operator
@@ -68,6 +71,7 @@ class FoxgloveServer:
                 f"{LOOPBACK[0]}:{port}: the connection for Foxglove cannot be offered there "
                 f"({fault.__cause__ or fault}); another run may offer one; choose another port"
             ) from fault
+        self._listening.setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, _UNSENT_BYTES)  # connections inherit it
         port = int(self._listening.getsockname()[1])
         self.url: str = f"ws://{LOOPBACK[0]}:{port}"
         self._offered, self._hosts, self._origins = list(offered), frozenset(hosts_of("", port)), frozenset(origins)
