@@ -4,10 +4,10 @@
 
 A process of its own writes the text of two messages to a pty, as fast as it is read, with bad lines in between. Ours is
 the path of a recording: the link reads the pty in the thread of a DeviceReader, raw bytes and decoded samples go to a
-log with CRC and index, flushed every 50 ms. It decodes displacements of a DBC file, or a drive's status and speed. The
-peer receives frame objects from `can.Bus(interface="slcan")`, with neither values nor a log. All frames must arrive,
-and each bad line must be counted. Printed are frames for each second of wall time and of the process's own processor
-time, medians of interleaved repeats, and the ratio of the pairs.
+log with CRC and index, flushed every 50 ms. It decodes displacements of a DBC file, or the status and the speed of a
+drive whose state changes every thousand reports. The peer receives frame objects from `can.Bus(interface="slcan")`,
+with neither values nor a log. All frames must arrive, and each bad line must be counted. Printed are frames for each
+second of wall time and of the process's own processor time, medians of interleaved repeats, and the ratio of the pairs.
 """
 
 from __future__ import annotations
@@ -74,9 +74,18 @@ class Result:
     processor_s: float
 
 
-def text_of(frames: int, bad_every: int) -> tuple[bytes, int]:
-    """Text of frames of two messages with a number in each, and the number of bad lines in it."""
-    values = np.random.default_rng(1).integers(0, 2**16, frames).tolist()
+def displaced(frames: int) -> list[int]:
+    """First word of each frame of a sensor: displacements."""
+    return np.random.default_rng(1).integers(0, 2**16, frames).tolist()
+
+
+def driven(frames: int) -> list[int]:
+    """First word of each frame of a drive: it is enabled and switched off in turn."""
+    return np.where(np.arange(frames) // 2000 % 2, 0x0237, 0x0233).tolist()
+
+
+def text_of(values: list[int], bad_every: int) -> tuple[bytes, int]:
+    """Text of frames of two messages with a value and a number in each, and the number of bad lines in it."""
     lines: list[bytes] = []
     bad = 0
     for i, value in enumerate(values):
@@ -212,18 +221,19 @@ def main() -> None:
     parser.add_argument("--bad-every", type=int, default=500, help="frames between two bad lines")
     parser.add_argument("--repeats", type=int, default=5)
     arguments = parser.parse_args()
-    text, bad = text_of(arguments.frames, arguments.bad_every)
-    short, short_bad = text_of(arguments.peer_frames, arguments.bad_every)
+    text, bad = text_of(displaced(arguments.frames), arguments.bad_every)
+    drive_text, _ = text_of(driven(arguments.frames), arguments.bad_every)
+    short, short_bad = text_of(displaced(arguments.peer_frames), arguments.bad_every)
     found: dict[str, list[Result]] = {"displacements": [], "drive": [], "python-can": []}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.mcap"
-        warm, _ = text_of(2000, 100)
+        warm, _ = text_of(displaced(2000), 100)
         for make in (displacements, drive):
             make().feed(RX, warm, 0)
         for _ in range(arguments.repeats):
             found["displacements"].append(_on_pty(text, ours(path, len(text), displacements)))
             path.unlink()
-            found["drive"].append(_on_pty(text, ours(path, len(text), drive)))
+            found["drive"].append(_on_pty(drive_text, ours(path, len(drive_text), drive)))
             path.unlink()
             found["python-can"].append(_on_pty(short, lambda port, ready: peer(port, ready, arguments.peer_frames)))
     whole = {"displacements": (arguments.frames, bad), "drive": (arguments.frames // 2, bad)}
