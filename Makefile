@@ -17,6 +17,10 @@ UV := .tools/uv-$(UV_VERSION)/bin/uv
 UV_FILE := $(UV)
 endif
 
+# Many images of containers forbid Python to keep compiled files: the hundreds of processes that the tests start would
+# compile the project anew, each time.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test test-thorough tutorials docs platforms setup lint types duplicates clean
 
 demo: setup
