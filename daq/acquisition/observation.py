@@ -30,13 +30,15 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
     Args:
         session: the open session; `lenient`, so that devices that could not be opened are reported.
         seconds: duration, wall s. It is longer only for status reports, which devices send each second, and for the
-            drive's time-out.
+            drive's time-out; it is short if no device is open.
         progress: see `Progress`.
     """
     events: list[DeviceEvent] = []
     session.device_event_observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     begun_s = session.clock.wall_s()
+    if not session.rig.devices.keys() - session.unopened.keys():
+        seconds = min(seconds, _STEP_S)  # nothing can arrive
     stds: dict[str, list[float]] = {}
     while (passed := session.clock.wall_s() - begun_s) < seconds:
         progress(passed / seconds)

@@ -458,8 +458,9 @@ class Session:
         return out
 
     def all_identified(self) -> bool:
-        """Return whether every device has described itself."""
-        return all(self.identification_of(name)[0] for name in self._known)
+        """Return whether every open device has described itself."""
+        gone = self.unopened
+        return all(self.identification_of(name)[0] for name in self._known if name not in gone)
 
     def own_checks(self, events: Iterable[DeviceEvent]) -> dict[str, Checks]:
         """Return the checks that the drivers make on their open devices, by device.

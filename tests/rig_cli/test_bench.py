@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_identification_writes_every_service_next_to_peers(
         pairs=(),
         run_up_zetas=(),
         dampings=(1e-3,),
-        runs=3,
+        runs=1,
         damaged_runs=1,
         pair_runs=1,
         run_up_runs=1,
@@ -71,8 +72,9 @@ def test_identification_writes_every_service_next_to_peers(
         most_s=0.0,
     )
     monkeypatch.setattr(precision, "QUICK", tiny)
-    monkeypatch.setattr(precision, "_release", lambda physics, size: precision._spin_downs(size)[0])
-    monkeypatch.setattr(precision, "_tracking", lambda physics, size: precision._spin_downs(size)[0])
+    another = replace(precision._spin_downs(tiny)[0], methods=precision._spin_downs(tiny)[0].methods[:1])
+    monkeypatch.setattr(precision, "_release", lambda physics, size: another)
+    monkeypatch.setattr(precision, "_tracking", lambda physics, size: another)
     assert run(["bench", "identification", "--quick", "--json", "-o", str(tmp_path)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result) == KEYS

@@ -116,6 +116,12 @@ def test_bad_use_is_explained(capsys: pytest.CaptureFixture[str], arguments: lis
     assert words in " ".join((out + err).split())
 
 
+def test_a_check_without_an_open_device_does_not_observe_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run_rig(capsys, "check", "virtual", "--json")
+    assert code == 3
+    assert json.loads(out)["seconds"] < 2.0, "10 s, and 3 s more for reports, if any device is open"
+
+
 def test_log_and_replay_of_a_small_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap")
     code, out, _ = run_rig(capsys, "log", str(path), "--json")
