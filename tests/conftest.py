@@ -26,6 +26,11 @@ settings.register_profile(
 settings.load_profile("suite")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the lengthy tests at the beginning: at the end one process would wait for the other."""
+    items.sort(key=lambda item: item.get_closest_marker("lengthy") is None)
+
+
 def pytest_collection_finish() -> None:
     """Exempt what collection left from garbage collection: each full one would take 0.4 s, dozens of times a run."""
     gc.collect()

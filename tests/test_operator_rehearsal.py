@@ -140,6 +140,7 @@ def test_the_page_has_its_rehearsals() -> None:
     assert len(by_hand[1].hands) == 4
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.skipif(sys.platform == "win32", reason="a page for ptys; TCP ports have tests of their own")
 def test_the_rehearsal_can_be_followed_word_by_word(number: int, tmp_path: Path) -> None:

@@ -119,6 +119,7 @@ def test_a_campaign_that_breaks_off_is_kept(monkeypatch: pytest.MonkeyPatch) -> 
     assert "seed 0: ZeroDivisionError" in figures.summary([found, row(1)], Effects())
 
 
+@pytest.mark.lengthy
 def test_a_campaign_end_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was identified lies near the truth, the points and a further run-up are judged, and all of it is JSON."""
     seen, check = list[tuple[str, ...]](), laboratory.check_run_ups

@@ -78,6 +78,7 @@ def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[VirtualRi
     assert session.notices == []
 
 
+@pytest.mark.lengthy
 def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
 ) -> None:

@@ -23,6 +23,7 @@ NOTE_CLICK = """document.getElementById("stop").addEventListener("pointerdown", 
 }, { capture: true })"""
 
 
+@pytest.mark.lengthy
 def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: Path) -> None:
     late_s: list[float] = []
     while len(late_s) < ATTEMPTS and not any(late < WITHIN_S for late in late_s):

@@ -41,6 +41,7 @@ def on_ports(rig: VirtualRigProcess) -> list[str]:
     return [word for port in rig.ports.values() for word in ("--port", port)]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("link", ["tcp", *([] if sys.platform == "win32" else ["pty"])])
 def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
     link: str, capsys: CAPTURE, tmp_path: Path

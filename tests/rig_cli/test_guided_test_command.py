@@ -253,6 +253,7 @@ def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
         assert log["motor"]["speed_rpm"].max() < 800
 
 
+@pytest.mark.lengthy
 def test_start_ups_are_recorded_one_by_one_and_classed(
     shared_clock: VirtualRigProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

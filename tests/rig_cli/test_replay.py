@@ -269,6 +269,7 @@ def long_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(path, steps=1400, lost=frozenset({400, 401, 403}), rests_from=1250)
 
 
+@pytest.mark.lengthy
 def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
     with Player(long_log, "tcp", "1") as player:  # a busy machine takes its time to open four devices
         host = hosted(player, "check", "virtual", "--seconds", "1", "--json")
@@ -292,6 +293,7 @@ def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
     assert "not started: drive (the network's start), laser_x (OUTPUT RS422), laser_y" in player.text
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path, kind: str, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"

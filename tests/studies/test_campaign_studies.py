@@ -42,6 +42,7 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> TileFolder:
     return folder
 
 
+@pytest.mark.lengthy
 def test_a_campaign_contains_what_it_found_and_what_is_true(campaigns: TileFolder) -> None:
     found = CampaignResults.of(campaigns)
     assert found.failed == {}
@@ -53,6 +54,7 @@ def test_a_campaign_contains_what_it_found_and_what_is_true(campaigns: TileFolde
     assert len(found.point_z()) >= 2
 
 
+@pytest.mark.lengthy
 def test_another_process_gives_the_same_campaign(campaigns: TileFolder, tmp_path: Path) -> None:
     folder = TileFolder(tmp_path, campaigns.study)
     run_study(folder, Processes(1, ignore))
@@ -60,6 +62,7 @@ def test_another_process_gives_the_same_campaign(campaigns: TileFolder, tmp_path
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
 
+@pytest.mark.lengthy
 def test_more_campaigns_go_on_from_those_there_are(campaigns: TileFolder) -> None:
     text = with_one_point()
     more, before = campaign_study(text, [], 3, 2), campaigns.study
@@ -71,6 +74,7 @@ def test_more_campaigns_go_on_from_those_there_are(campaigns: TileFolder) -> Non
     assert other.name_of(0) != before.name_of(0)
 
 
+@pytest.mark.lengthy
 def test_a_campaign_that_cannot_be_run_contains_why_and_the_others_count(campaigns: TileFolder, tmp_path: Path) -> None:
     study = campaign_study(with_one_point(), ["limits.speed_rpm=100"], 4, 1)
     folder = TileFolder(tmp_path, study)

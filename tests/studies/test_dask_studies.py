@@ -105,6 +105,7 @@ def test_a_killed_scheduler_costs_the_tiles_in_hand(
     assert "is gone; what is done is kept" in messages[0]
 
 
+@pytest.mark.lengthy
 def test_a_killed_client_loses_nothing_that_is_done(
     processes: DaskProcesses, expected: dict[str, bytes], tmp_path: Path
 ) -> None:

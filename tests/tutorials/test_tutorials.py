@@ -36,6 +36,7 @@ def test_there_is_one_for_each_reader() -> None:
     assert names == {"changed_spring", "first_campaign", "old_log", "own_sensor", "twenty_lines"}
 
 
+@pytest.mark.lengthy
 @each
 def test_it_runs_without_a_warning_and_gives_what_is_stored(path: Path, tmp_path: Path) -> None:
     notebook = read(path)
