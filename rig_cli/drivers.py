@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from importlib import import_module
 from importlib.metadata import EntryPoint
@@ -18,6 +19,8 @@ from rig_configs.errors import RigConfigError
 
 if TYPE_CHECKING:
     from daq.drivers.contract import Driver
+
+_THOROUGH_WEIGHT = 300.0  # of the test with 10⁶ inputs in the bar of progress
 
 app: App = App(name="driver", help="List the installed drivers, check one against what every driver must do.")
 
@@ -39,7 +42,9 @@ def list_(*, json: Json = False) -> int:
 def check(
     name: str,
     *,
-    thorough: Annotated[bool, Parameter(negative="", help="10⁶ damaged inputs in place of 10⁴: minutes")] = False,
+    thorough: Annotated[
+        bool, Parameter(negative="", help="10⁶ damaged inputs in place of 10⁴, on all cores: minutes")
+    ] = False,
     json: Json = False,
 ) -> int:
     """Run the tests that every driver must pass on one driver, with its simulated device; exit 1 when one fails.
@@ -50,13 +55,19 @@ def check(
     """
     chosen = _chosen(name)
     from rig_testing import cases  # numba takes a third of a second to import
+    from rig_testing.examination import CHECKS
     from rig_testing.report import DriverReport
 
-    all_cases = cases(chosen, thorough=thorough)
-    with StepProgress(dict.fromkeys((str(case) for case in all_cases), 1.0)) as progress:
+    weights = dict.fromkeys(CHECKS, 1.0) | ({"mutations": _THOROUGH_WEIGHT} if thorough else {})
+    with StepProgress(weights) as progress:
+
+        def show(share: float) -> None:
+            progress.update(f"mutations {share:.1%}", share)
+
+        processes = (os.cpu_count() or 1) if thorough else 1
         outcomes: list[Any] = []
-        for case in all_cases:
-            progress.step(str(case))
+        for case in cases(chosen, thorough=thorough, processes=processes, progress=show):
+            progress.step(case.name)
             outcomes.append(case.run())
     report = DriverReport(chosen.name, tuple(outcomes))
     if json:

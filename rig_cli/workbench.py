@@ -13,8 +13,8 @@ from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rig_basics.lifeline import end_with_parent
 from rig_configs.schema import Rig
-from studies.engines.lifeline import end_with_parent
 
 _worker: dict[str, Any] = {}  # state of the worker process between two jobs of one campaign
 _POLL_S = 0.2

@@ -92,13 +92,22 @@ class ContractCase:
             raise Failed(f"{self.name}: {outcome.why}")
 
 
-def cases(driver: Driver, *, thorough: bool = False) -> list[ContractCase]:
+def cases(
+    driver: Driver,
+    *,
+    thorough: bool = False,
+    processes: int = 1,
+    progress: Callable[[float], None] = lambda share: None,
+) -> list[ContractCase]:
     """Return all tests of a driver, for any order; they share recordings that take long.
 
     Args:
         thorough: 10⁶ damaged inputs in place of 10⁴.
+        processes: number of processes that decode damaged inputs. With several the main module must be importable, as
+            always with `multiprocessing`.
+        progress: called with the completed share, 0 … 1, of the damaged inputs.
     """
-    subject = Subject(driver, thorough)
+    subject = Subject(driver, thorough, processes, progress)
     return [ContractCase(name, subject) for name in CHECKS]
 
 

@@ -8,11 +8,13 @@ import numpy as np
 
 from daq.items import RX
 from rig_testing.bench import Items
+from rig_testing.processes import each_answer
 from rig_testing.report import Failed, need
 from rig_testing.sizes import size_of
 from rig_testing.subject import Subject
 
 QUICK, THOROUGH = 10_000, 1_000_000
+_SEED = 19
 _READS = 3  # reads of an excerpt
 _PER_EXCERPT = 50  # damaged inputs of an excerpt
 _SLOW_S = 5.0  # longest processor time for one damaged excerpt
@@ -26,25 +28,35 @@ def check_mutations(subject: Subject) -> str:
     except in inputs that the checksum lets pass.
     """
     count = THOROUGH if subject.thorough else QUICK
-    rng = np.random.default_rng(19)
+    excerpts = range(-(-count // _PER_EXCERPT))
     wrong = samples = inputs = 0
-    for begin in range(0, count, _PER_EXCERPT):
-        first = int(rng.integers(0, max(1, len(subject.tape.reads) - _READS)))
-        more = _some_wrong(subject, first, rng, min(_PER_EXCERPT, count - begin))
-        wrong, samples, inputs = wrong + more[0], samples + more[1], inputs + more[2]
-    words = f"{count} inputs: {wrong} of {samples} samples differ from those sent, in {inputs} inputs"
+    for done, found in enumerate(each_answer(damaged_excerpt, subject, excerpts), 1):
+        wrong, samples, inputs = wrong + found[0], samples + found[1], inputs + found[2]
+        subject.progress(done / len(excerpts))
+    damaged = len(excerpts) * _PER_EXCERPT
+    words = f"{damaged} inputs: {wrong} of {samples} samples differ from those sent, in {inputs} inputs"
     if subject.claims("checksum"):
         need(inputs <= _UNDETECTED_BY_CHANCE + _UNDETECTED_SHARE * count, f"{words}, but the driver claims a checksum")
     return words
 
 
-def _some_wrong(subject: Subject, first: int, rng: np.random.Generator, count: int) -> tuple[int, int, int]:
-    """Return wrong samples of damaged copies of an excerpt, all samples, and the number of inputs with wrong ones."""
+def damaged_excerpt(subject: Subject, number: int) -> tuple[int, int, int]:
+    """Decode damaged copies of an excerpt, which depend on its number alone.
+
+    Returns:
+        Number of wrong samples, of all samples, and of inputs with wrong ones.
+    """
+    rng = np.random.default_rng([_SEED, number])
+    first = int(rng.integers(0, max(1, len(subject.tape.reads) - _READS)))
+    return _some_wrong(subject, first, rng)
+
+
+def _some_wrong(subject: Subject, first: int, rng: np.random.Generator) -> tuple[int, int, int]:
     excerpt = subject.tape.reads[first : first + _READS]
     clean, _ = subject.decode(excerpt)
     sent = {topic: _rows(subject, clean, topic) for topic in subject.channels}
     wrong = samples = inputs = 0
-    for number in range(count):
+    for number in range(_PER_EXCERPT):
         damaged = [(d, mutated(data, rng) if d == RX else data, ns) for d, data, ns in excerpt]
         began = time.thread_time()
         try:

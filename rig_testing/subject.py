@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -37,11 +37,21 @@ class Subject:
 
     Args:
         thorough: whether the tests may take long.
+        processes: number of processes for a test that is split; 1 for this process alone.
+        progress: called with the completed share, 0 … 1, of a test that takes long.
     """
 
-    def __init__(self, driver: Driver, thorough: bool) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        thorough: bool,
+        processes: int = 1,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> None:
         self.driver: Driver = driver
         self.thorough: bool = thorough
+        self.processes: int = processes
+        self.progress: Callable[[float], None] = progress
 
     @cached_property
     def settings(self) -> DeviceSettings:

@@ -11,8 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
+from rig_basics.lifeline import end_with_parent
 from rig_basics.log_output import show_log_as_parent
-from studies.engines.lifeline import end_with_parent
 from studies.errors import TileFailed
 from studies.study import Study
 from studies.worker import answer_tile

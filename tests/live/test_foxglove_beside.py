@@ -64,7 +64,7 @@ def test_a_session_gives_what_its_log_will_have(virtual_rig: VirtualRigProcess, 
             connection.follow(session)
             session.note(DeviceEvent("note", "host", "by hand", {"time_ns": session.clock.now_ns()}))
             deadline = time.monotonic() + WAIT_S
-            while not ({topic for topic, *_ in came} >= set(topics.values()) and len(came) > 3000):
+            while not ({topic for topic, *_ in came} >= set(topics.values()) and len(came) > 1500):
                 assert time.monotonic() < deadline, {topic for topic, *_ in came}
                 data = line.recv(timeout=WAIT_S)
                 assert isinstance(data, bytes)

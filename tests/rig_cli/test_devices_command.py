@@ -57,7 +57,7 @@ def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
         }
         assert [each["name"] for each in found["tables"]] == ["displacement_x", "displacement_y", "node", "drive"]
         path = rig_file(tmp_path / "my.toml", "virtual", [each["text"] for each in found["tables"]])
-        code = run(["check", str(path), "--set", LATE_BEATS, "--json"])
+        code = run(["check", str(path), "--seconds", "3", "--set", LATE_BEATS, "--json"])
     checks = {
         (device, what): one["verdict"]
         for device, found in json.loads(capsys.readouterr().out)["devices"].items()

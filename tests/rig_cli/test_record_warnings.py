@@ -34,7 +34,7 @@ def test_a_sensor_that_loses_power_at_rest_makes_the_run_not_clean(
         cutting.start()
         ports = [word for setting in far.port_settings() for word in ("--set", setting)]
         with patch("rig_cli.acquire.HostClock", lambda scale: far.clock):  # its time waits for a busy machine
-            code = run(["record", "virtual", "--duration", "30", "-o", str(log), *ports])
+            code = run(["record", "virtual", "--duration", "15", "-o", str(log), *ports])
         ended.set()
         cutting.join()
     err = capsys.readouterr().err
