@@ -48,7 +48,7 @@ def _sendable(subject: Subject) -> bytes | None:
 
 @contextmanager
 def _processes(count: int, content: bytes) -> Generator[ProcessPoolExecutor]:
-    """Give processes, which end with the context, whatever they do, and with this process."""
+    """Start processes. They end with the context, even if they hang, and with this process."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     before = set(multiprocessing.active_children())

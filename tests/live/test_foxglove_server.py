@@ -419,7 +419,7 @@ def test_a_client_that_reads_nothing_costs_bounded_memory_and_others_nothing(
 
 @contextmanager
 def _little_line(server: FoxgloveServer, bytes_held: int) -> Iterator[socket.socket]:
-    """A line whose receiving end holds back no more than this, whatever the machine's settings are."""
+    """A line whose receiving end holds back no more than this, on any machine."""
     with socket.socket() as line:
         line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, bytes_held)
         host, _, port = server.url.removeprefix("ws://").partition(":")
