@@ -19,7 +19,8 @@ from daq.items import Batch, DeviceEvent
 NEW_RULES = 7
 """Rules from which frames wait that their number alone does not place, and a silent bus is no silent sensor."""
 _REST_RULES = 9
-"""Rules from which waiting frames are decoded at the end of a log, and a short lateness is the host's."""
+"""Rules from which waiting frames are decoded at the end of a log; a lateness is the host's if it is short, if the
+counter goes on after it, or if timestamps agree with the counter."""
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
