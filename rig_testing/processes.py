@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import signal
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -21,7 +21,7 @@ _PER_TASK = 20  # numbers that a process takes at a time
 _own: list[Subject] = []  # one, in a process that answers
 
 
-def each_answer(part: Callable[[Subject, int], A], subject: Subject, numbers: Sequence[int]) -> Iterator[A]:
+def each_answer(part: Callable[[Subject, int], A], subject: Subject, numbers: Sequence[int]) -> Generator[A]:
     """Yield the answers of a part of a test in the order of the numbers, by the subject's number of processes.
 
     A driver that cannot be sent to another process is tested in this one.
@@ -40,8 +40,9 @@ def each_answer(part: Callable[[Subject, int], A], subject: Subject, numbers: Se
 
 
 def _sendable(subject: Subject) -> bytes | None:
+    content = subject.driver, subject.thorough, subject.tape
     try:
-        return pickle.dumps((subject.driver, subject.thorough, subject.tape))
+        return pickle.dumps(content)
     except (pickle.PicklingError, AttributeError, TypeError):  # usual: a driver that is defined inside a function
         return None
 
@@ -58,7 +59,7 @@ def _processes(count: int, content: bytes) -> Generator[ProcessPoolExecutor]:
     finally:
         theirs.close()
         for process in set(multiprocessing.active_children()) - before:
-            process.kill()
+            process.kill()  # a regular expression without end would keep its lifeline from ending it
         pool.shutdown(wait=True, cancel_futures=True)
         ours.close()
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import time
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -33,9 +36,10 @@ def death(subject: Subject, number: int) -> int:
     os._exit(9)
 
 
-def silence(subject: Subject, number: int) -> int:
-    while number >= 20:
-        time.sleep(0.1)
+def endless(folder: Path, subject: Subject, number: int) -> int:
+    if number >= 20:
+        (folder / str(number)).touch()
+        re.match(r"(a+)+$", "a" * 60 + "b")  # no other thread of the process runs meanwhile
     return number
 
 
@@ -56,16 +60,18 @@ def test_what_fails_in_a_process_fails_here(subject: Subject) -> None:
     assert multiprocessing.active_children() == []
 
 
-def test_a_process_that_hangs_ends_with_the_test(subject: Subject) -> None:
-    answers = each_answer(silence, subject, range(60))
+def test_a_process_that_hangs_ends_with_the_test(subject: Subject, tmp_path: Path) -> None:
+    answers = each_answer(partial(endless, tmp_path), subject, range(60))
     assert [next(answers) for _ in range(20)] == list(range(20))
-    answers.close()  # type: ignore[attr-defined]
+    deadline = time.monotonic() + 60
+    while {path.name for path in tmp_path.iterdir()} != {"20", "40"}:
+        assert time.monotonic() < deadline, "both processes reach the part that hangs"
+        time.sleep(0.01)
+    answers.close()
     assert multiprocessing.active_children() == []
 
 
 def test_a_driver_that_cannot_be_sent_is_tested_here(subject: Subject) -> None:
-    class Here(type(subject.driver)):  # type: ignore[misc]
-        pass
-
-    local = Subject(Here(), thorough=False, processes=2)
+    unnamed = type("Unnamed", (type(subject.driver),), {})  # no module has it
+    local = Subject(unnamed(), thorough=False, processes=2)
     assert list(each_answer(whose, local, range(2))) == [(os.getpid(), 0), (os.getpid(), 1)]
