@@ -19,9 +19,8 @@ from analysis.run_out import SLOW_ROLL
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
-from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, USUAL_SHARE, ZERO_A, ZERO_B
 
-NOMINAL_SHARE = 1e-3  # relative standard uncertainty of a number without a stated one: usual for such numbers
 PARAMETER_SYMBOLS: Mapping[str, str] = {
     "k1_N_per_m": "k1",
     "k2_N_per_m": "k2",
@@ -126,7 +125,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
     std, found = identified.std, list[Cause]()
     for k, name in enumerate(identified.values):
         value = identified.values[name]
-        deviation = std[name] or NOMINAL_SHARE * abs(value)
+        deviation = std[name] or USUAL_SHARE * abs(value)
         if deviation > 0:
             found.append(_share(name, PARAMETER_SYMBOLS[name], value, deviation, -differences.by_parameter[:, k]))
     known, own = rig.known, differences.by_parameter
@@ -134,7 +133,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
         value = known.values[name]
         if value and name in differences.by_number and name != "imbalance.mass_kg":  # acts as the rotor's mass does
             moved = differences.by_number[name] + own @ identified.by_number.get(name, np.zeros(len(identified.values)))
-            deviation = known.std(name) or NOMINAL_SHARE * value
+            deviation = known.std(name) or USUAL_SHARE * value
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
     found += _torques(differences, identified)
     for name in (ZERO_A, ZERO_B, INDEX):

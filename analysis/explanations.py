@@ -31,6 +31,7 @@ _MAX_SHOWN, _MAX_FOLLOWED, _MAX_ROUNDS = 5, 4, 6
 _MAX_LINEAR_STD = 8.0  # linear size in standard deviations of the points above which the prediction is repeated
 _MAX_LAST_STEP_STD = 0.02  # last step of a followed size, in its own standard deviations, at convergence
 _MAX_CORRELATION = 0.999  # of two causes that the points can distinguish
+_MAX_NEAREST_LEFT = 0.5  # of χ² above its expectation: a cause that leaves most of the differences is not near them
 _MIN_CHI2_OF_SECOND = 12.0  # reduction of χ² by a pair below the best single cause
 
 
@@ -112,10 +113,10 @@ class Explanations:
         likely = [e for e in (*self.singles, *self.pairs) if e.explained][:3]
         if not likely:
             nearest = min((*self.singles, *self.pairs), key=lambda e: e.chi2)
-            return [
-                f"no single cause and no pair of causes explains the differences; the nearest is "
-                f"{nearest.sentence(self.chi2)}"
-            ]
+            none = "no single cause and no pair of causes explains the differences"
+            if nearest.chi2 - self.dof > _MAX_NEAREST_LEFT * (self.chi2 - self.dof):
+                return [f"{none}, nor most of them: χ² {self.chi2:.3g} on {self.dof}"]
+            return [f"{none}; the nearest is {nearest.sentence(self.chi2)}"]
         first, *others = likely
         settles = " or ".join(dict.fromkeys(cause.settles for cause in first.causes))
         text = [f"best explanation: {first.sentence(self.chi2)}. What settles it: {settles}"]
@@ -146,6 +147,9 @@ def explanations(
     """
     chi2, dof = differences.chi2, len(differences.values)
     limit = _left_by_chance(dof)
+    found = [
+        cause for cause in found if np.any(differences.whitener @ cause.direction)
+    ]  # the points show the others not
     alone = [_fitted(differences, (c,), limit) for c in found]
     singles = sorted((e for e in alone if e.possible), key=lambda e: e.score)
     if again is not None:

@@ -43,7 +43,8 @@ def moment_margins(rig: Rig, known: IdentifiedParameters) -> MomentMargins:
     p = rig.physics
     moments = (p.a.first_moment_kg_m, p.b.first_moment_kg_m, p.imbalance_moment_kg_m)
     changes = [_change(rig, effects, "SP_kg_m" in known.values) for effects in _sources(rig)]
-    alone = known.std["SP_kg_m"] if "SP_kg_m" in known.values else p.imbalance_mass_kg * rig.imbalance.radius_std_m
+    by_radius = p.imbalance_mass_kg * rig.imbalance.assumed_radius_std_m
+    alone = known.std["SP_kg_m"] if "SP_kg_m" in known.values else by_radius
     changes.append(np.array([0.0, 0.0, alone]))
     each = np.array(changes)
     margins = balancing_margins(*moments)

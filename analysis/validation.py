@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as
+from rig_configs.known import assumed_remarks
+from rig_configs.parameters_file import filled_remarks
 
 _READINGS: Mapping[Reading, str] = {
     "drag": "by the releases, what a spin-down shows to grow with the square of the speed is the drag of the air",
@@ -58,6 +60,8 @@ class Validation:
         suspension: sentences on the effect of identified terms of the suspension at the points.
         reading: interpretation by the releases of a torque that grows with the square of the speed; "" if a test
             decided it.
+        filled: name of a parameter that is not identified → the rig file's value in its place, and its uncertainty.
+        assumed: numbers of the rig file whose standard uncertainty is not stated there, as in `KnownNumbers`.
     """
 
     points: Mapping[str, PointResult] = field(default_factory=dict[str, PointResult])
@@ -68,6 +72,8 @@ class Validation:
     reading: Reading = ""
     of_releases: Sequence[str] = ()
     suspension: Sequence[str] = ()
+    filled: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    assumed: Sequence[str] = ()
 
     @property
     def reasons(self) -> list[str]:
@@ -76,8 +82,10 @@ class Validation:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on the interpretation of drag, on releases and suspension, and on the signals by log name."""
+        """Messages on values that no test gave, on drag, releases and suspension, and on the signals by log name."""
         return [
+            *filled_remarks(self.filled),
+            *assumed_remarks(self.assumed),
             *([_READINGS[self.reading]] if self.reading else []),
             *self.of_releases,
             *self.suspension,
@@ -108,6 +116,7 @@ class Validation:
             "explanations": None if self.explanations is None else self.explanations.to_json(),
             "noticed": [one.to_json() for one in self.noticed],
             "start_ups": [series.to_json() for series in self.start_ups],
+            "filled": {name: {"value": value, "std": std} for name, (value, std) in self.filled.items()},
         }
 
 
@@ -118,6 +127,7 @@ def validate(
     identified: IdentifiedParameters,
     axis_angle_deg: tuple[float, float] | None = None,
     releases: Sequence[Rows] = (),
+    exact: Collection[str] = (),
 ) -> Validation:
     """Compare every run at a point, and every repeated start-up, with the model; other runs are ignored.
 
@@ -129,9 +139,13 @@ def validate(
             for the identified angle, or the mounting angle of the rig file if no test identified it.
         releases: rows of the motions right after releases at the points, and of run-ups that were not used for the
             identification, calculated with the same parameters.
+        exact: names of parameters that were set, whose values are those of the rig. Other parameters that are missing
+            have the rig's design values with their uncertainty, and the result names them.
     Source: docs/theory/validation.md.
     """
-    identified = identified.completed(rig.physics)  # values that were not identified, or set, may be wrong as well
+    assumed = rig.known.assumed
+    filled = {name: value for name, value in identified.missing(rig.physics, exact).items() if name not in exact}
+    identified = identified.completed(rig.physics, exact)
     readings: list[Reading] = [each.reading for each in releases if each.reading]
     reading: Reading = readings[0] if readings else ""
     identified = replace(identified, provenance=read_as(identified.provenance, reading))
@@ -159,7 +173,15 @@ def validate(
     repeated = _start_ups(runs, rig, identified, axis_angle_deg)
     changed = _suspension(results, identified)
     if found is None:
-        return Validation(results, start_ups=repeated, reading=reading, of_releases=remarks, suspension=changed)
+        return Validation(
+            results,
+            start_ups=repeated,
+            reading=reading,
+            of_releases=remarks,
+            suspension=changed,
+            filled=filled,
+            assumed=assumed,
+        )
     for group in found.agreement.failing_points:
         name = group.removesuffix(f" {RELEASE}")
         if name in results and results[name].verdict == "pass":
@@ -168,7 +190,16 @@ def validate(
             why = f"{which}: χ² {statistic.chi2:.3g} on {statistic.dof}, p = {statistic.p:.1g}"
             results[name] = replace(results[name], verdict="fail", why=why)
     validation = Validation(
-        results, found.agreement, found.explanations, found.noticed, repeated, reading, remarks, changed
+        results,
+        found.agreement,
+        found.explanations,
+        found.noticed,
+        repeated,
+        reading,
+        remarks,
+        changed,
+        filled,
+        assumed,
     )
     off = any(p.verdict == "fail" and p.scores for p in results.values())  # a wrong state has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())

@@ -41,7 +41,7 @@ from identification.setting import Setting
 from identification.sources import Sources, joined, log_names
 from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
 from rig_configs.drag import Reading
-from rig_configs.known import DRAG, KnownSource
+from rig_configs.known import DRAG, KnownSource, assumed_remarks
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.slow_roll import SlowRoll
@@ -232,7 +232,7 @@ def identify(
     work = _Work(rig, notify or (lambda _: None), setting, held_back(without), [], [], [])
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
-    work.warnings += missing_warnings(runs)
+    work.warnings += [*assumed_remarks(rig.known.assumed), *missing_warnings(runs)]
     compared = [(run, agreement) for run in given for agreement in run.agreements()]
     work.warnings += [
         f"{Path(r.source).name}: {a.text}"

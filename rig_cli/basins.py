@@ -16,7 +16,7 @@ from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -90,6 +90,7 @@ def basins(
     numbers = _grid(releases.grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
+    warn_of_filled(known, loaded, settings)
     speed_rad_s = speed.rad_s("rig basins", loaded)
     with wait_for_compilation("basins"):
         from analysis.maps.question import parameters_source, rig_source

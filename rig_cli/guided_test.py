@@ -25,7 +25,7 @@ from rig_cli.guided_test_page import TestPage
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings, what_if_words
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
@@ -123,7 +123,9 @@ def test(
     log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter writes to the log.
     """
     parameters = options.parameters
-    loaded = load_rig(rig, parameters, settings or [])
+    known = None if parameters is None else IdentifiedParameters.load(parameters)
+    loaded = load_rig(rig, known, settings or [])
+    warn_of_filled(known, loaded, settings)
     if name is None:
         found = campaign(loaded, options.out)
         print_json(found) if json else print_campaign(found)

@@ -17,7 +17,7 @@ from rig_cli import answer
 from rig_cli.console import notify
 from rig_cli.foxglove import NOT_OFFERED, Foxglove, follow_session, foxglove_of_log, foxglove_of_session
 from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:
@@ -220,6 +220,7 @@ def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[
     if parameters is None:
         return rig, None, "rig file"
     known = IdentifiedParameters.load(parameters)
+    warn_of_filled(known, rig, settings)
     return with_parameters(rig, known.without(overridden(known, settings))), known, parameters.name
 
 

@@ -13,7 +13,7 @@ from rig_cli.console import notify, plain, print_json, wait_for_compilation
 from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -122,6 +122,7 @@ def map(
         _check_files(files)
         sources = rig_source(rig), parameters_source(parameters)
         question = _question(*sources, tuple(settings or ()), plane, work, speed)
+        warn_of_filled(question.known, question.loaded(), settings)
         if not question.is_nonlinear:
             report_omissions(question)
             compile_maps(question)

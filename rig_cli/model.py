@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import Positive
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
@@ -117,6 +117,7 @@ def predict(
             raise RigFileError("rig predict: --model goes with one point or speed, not with --sweep")
         return predict_sweep(rig, questions.sweep, known, changes, speed, model.accuracy or 1e-8, plot, json=json)
     loaded = load_rig(rig, known, changes)
+    warn_of_filled(known, loaded, changes)
     if questions.balancing or questions.lost:
         if (questions.balancing and questions.lost) or speed.count:
             raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")

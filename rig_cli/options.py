@@ -9,8 +9,9 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import notify
-from rig_configs import RigFileError, load_rig
-from rig_configs.load import apply_setting, parse_setting, validate
+from rig_configs import IdentifiedParameters, RigFileError, load_rig
+from rig_configs.load import apply_setting, parse_setting, set_by, validate
+from rig_configs.parameters_file import filled_remarks
 from rig_configs.schema import Rig
 
 Settings = Annotated[
@@ -50,6 +51,20 @@ def warn_of_unusual_settings(rig: Rig) -> list[str]:
     for text in found:
         notify(f"warning: {text}")
     return found
+
+
+def warn_of_filled(known: IdentifiedParameters | None, rig: Rig, settings: Sequence[str] | None) -> None:
+    """Report the values that given parameters lack, and that are those of the rig file.
+
+    Args:
+        known: given parameters; None or empty if there are none, where all values are the rig file's.
+        rig: rig with the parameters.
+        settings: settings of the command; a value that they set is not reported.
+    """
+    if known is not None and known.values:
+        chosen, missing = set_by(settings or []), known.missing(rig.physics)
+        for text in filled_remarks({name: found for name, found in missing.items() if name not in chosen}):
+            notify(f"warning: {text}")
 
 
 def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,8 @@ from rig_cli.numbers import Chance
 from rig_cli.options import Json, check_outputs
 from rig_cli.parameters_budget import budget
 from rig_cli.plan import share
-from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
+from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, Rig, RigFileError, load_rig
+from rig_configs.values_in_use import values_in_use
 
 if TYPE_CHECKING:
     from identification.compare import ParameterComparison
@@ -26,7 +28,14 @@ MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the ma
 
 
 @app.command
-def show(*files: Path, mass_std: MassStd = "0%", json: Json = False) -> int:
+def show(
+    *files: Path,
+    rig: Annotated[
+        str | None, Parameter(help="also list all values in use with this rig, each with its origin")
+    ] = None,
+    mass_std: MassStd = "0%",
+    json: Json = False,
+) -> int:
     """Show parameters files: values, uncertainty, what limits them, which tests they came from, correlations.
 
     Args:
@@ -35,7 +44,8 @@ def show(*files: Path, mass_std: MassStd = "0%", json: Json = False) -> int:
     if not files:
         raise RigFileError("no file given; usage: rig parameters show FILE…")
     mass = share(mass_std, "rig parameters show: --mass-std")
-    shown = [_facts(path, mass) for path in files]
+    loaded = None if rig is None else load_rig(rig)
+    shown = [_facts(path, mass) | _in_use(path, loaded) for path in files]
     if json:
         print_json({"files": shown})
         return 0
@@ -123,6 +133,13 @@ def _load(path: Path) -> IdentifiedParameters:
         if str(fault).startswith(str(path)):
             raise
         raise ParametersFileError(f"{path}: {fault}") from fault
+
+
+def _in_use(path: Path, rig: Rig | None) -> dict[str, Any]:
+    """Return all values in use with a rig; empty without one."""
+    if rig is None:
+        return {}
+    return {"in_use": {each.name: asdict(each) for each in values_in_use(rig, _load(path))}}
 
 
 def _facts(path: Path, mass_std: float) -> dict[str, Any]:

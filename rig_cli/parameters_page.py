@@ -17,6 +17,15 @@ from identification.history import History
 from identification.joint.limits import ParameterLimit
 from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
+from rig_configs.values_in_use import Origin
+
+_ORIGINS: Mapping[Origin, str] = {
+    "identified": "identified",
+    "design": "rig file: design value, not identified",
+    "stated": "rig file",
+    "assumed": "rig file; it states no uncertainty, the usual one is assumed",
+    "exact": "rig file, stated as exact",
+}
 
 
 def print_parameters(facts: Mapping[str, Any]) -> None:
@@ -39,6 +48,8 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
     for pair in sorted(facts["correlated"], key=lambda p: -abs(p["correlation"])):
         names = " and ".join(short(n) for n in pair["between"])
         console.print(Text.assemble(("correlated   ", "dim"), f"{names} {pair['correlation']:+.2f}"))
+    if "in_use" in facts:
+        _print_in_use(console, facts["in_use"])
     for test in facts["tests"]:
         if test.get("left_out"):
             console.print(
@@ -52,6 +63,14 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
             )
     if not facts["keeps_its_tests"]:
         console.print(Text("the file has too little of its tests to derive what limits it", "dim"), soft_wrap=True)
+
+
+def _print_in_use(console: Console, rows: Mapping[str, Mapping[str, Any]]) -> None:
+    table = _table(("value in use", "value", "± std", "unit", "origin"), right=(1, 2))
+    for name, row in rows.items():
+        value, std = rounded(row["value"], row["std"])
+        table.add_row(Text(name, "bold"), value, std, row["unit"], _ORIGINS[row["origin"]])
+    console.print(table)
 
 
 def limit_lines(found: list[ParameterLimit]) -> list[str]:

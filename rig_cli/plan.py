@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, print_json
-from rig_cli.options import Json, ParametersPath, Settings, what_if_words
-from rig_configs import RigFileError, load_rig
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, what_if_words
+from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
 if TYPE_CHECKING:
     from identification.plan.experiment import Experiment
@@ -39,7 +39,9 @@ def plan(
         raise RigFileError("rig plan: give what is to be identified, for example --want zeta1=1% --want c3=2%")
     wants = [parse_requirement(text) for text in want]
     mass = share(mass_std, "rig plan: --mass-std")
-    loaded = load_rig(rig, parameters, settings or [])
+    known = None if parameters is None else IdentifiedParameters.load(parameters)
+    loaded = load_rig(rig, known, settings or [])
+    warn_of_filled(known, loaded, settings)
     sensors = SensorProperties.of(loaded)
     if log:
         from daq.signals.run import load_run

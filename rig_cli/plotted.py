@@ -17,6 +17,7 @@ from daq.log import open_log
 from daq.log.snapshot import rig_of
 from daq.signals.run import Run, load_run
 from rig_cli.console import STDERR
+from rig_cli.options import warn_of_filled
 from rig_configs import IdentifiedParameters, Rig, RigFileError, overridden, with_parameters
 
 Drawn = tuple[Figure, dict[str, Any]]
@@ -78,6 +79,7 @@ class _Model:
         if self.known is None:
             return RigModel.of(rig)
         left = self.known.without(overridden(self.known, self.settings))
+        warn_of_filled(self.known, rig, self.settings)
         name = self.path.name if self.path else "parameters"
         return RigModel.of(with_parameters(rig, left), left, name)
 

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -61,6 +61,7 @@ def react(
         raise RigFileError("rig react: expected --change KEY=VALUE, as imbalance.radius_m=+20%")
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     before = load_rig(rig, known, settings or [])
+    warn_of_filled(known, before, settings)
     after = load_rig(rig, known, [*(settings or []), *change])
     speed_rad_s, share = speed.rad_s("rig react", before), until.share
     with wait_for_compilation("dynamics"):

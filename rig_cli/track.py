@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json
-from rig_cli.options import Json, ParametersPath, Settings
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled
 from rig_cli.setting_costs import TRACKING_HELP
 from rig_cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden, with_parameters
@@ -97,6 +97,7 @@ def _rig_for(log: Path, rig: str | None, known: IdentifiedParameters | None, set
         chosen = load_rig(rig, known, settings) if rig else rig_of(opened, settings)
     if rig is None and known is not None:
         chosen = with_parameters(chosen, known.without(overridden(known, settings)))
+    warn_of_filled(known, chosen, settings)
     _check_sensors(log, own, chosen, rig)
     return chosen
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -35,6 +35,9 @@ NUMBERS: Mapping[str, str] = {
     INDEX: "rad",
 }
 """Numbers that no test identifies, by key in the rig file, with units. S_P is identified, so its radius is not here."""
+USUAL_SHARE = 1e-3
+"""Relative standard uncertainty of a mass or length that is stated without one: 1 g of 1 kg on a kitchen balance,
+0.05 mm of 54 mm with a caliper."""
 MASSES = tuple(name for name, unit in NUMBERS.items() if unit == "kg")
 PHYSICAL = tuple(name for name in NUMBERS if name not in (ZERO_A, ZERO_B, INDEX))
 FRICTION = ("friction.a_Nm", "friction.b_Nm")
@@ -94,20 +97,36 @@ class KnownNumbers:
     Attributes:
         values: every number, in the order of NUMBERS.
         sources: causes of error with a standard uncertainty above 0.
+        assumed: numbers whose standard uncertainty the rig file does not state: USUAL_SHARE of each is assumed.
     """
 
     values: Mapping[str, float]
     sources: tuple[KnownSource, ...] = field(default=())
+    assumed: tuple[str, ...] = ()
 
     @property
     def exact(self) -> tuple[str, ...]:
-        """Physical numbers that are not 0 and have no uncertainty."""
+        """Physical numbers that are not 0 and that the rig file states as exact."""
         moved = {name for source in self.sources for name in source.effects}
         return tuple(name for name in PHYSICAL if name not in moved and self.values.get(name, 0.0) != 0.0)
 
     def std(self, name: str) -> float:
         """Return the standard uncertainty of a number from all of its sources."""
         return math.hypot(*(source.effects.get(name, 0.0) for source in self.sources))
+
+
+def assumed_remarks(names: Sequence[str]) -> list[str]:
+    """Return the sentence that names numbers with an assumed standard uncertainty; empty if there are none.
+
+    Args:
+        names: as in `KnownNumbers.assumed`.
+    """
+    if not names:
+        return []
+    return [
+        f"the rig file states no standard uncertainty of {', '.join(names)}: {100 * USUAL_SHARE:g} % of each is "
+        "assumed; give mass_std_kg, length_std_m (0 if the number is exact)"
+    ]
 
 
 def physical_numbers(physics: RotorParameters) -> dict[str, float]:

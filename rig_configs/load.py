@@ -109,11 +109,16 @@ def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:
 
 def overridden(known: IdentifiedParameters, settings: Sequence[str]) -> set[str]:
     """Return the names of identified values that settings replace, whose identification is then invalid."""
+    return set_by(settings) & set(known.values)
+
+
+def set_by(settings: Sequence[str]) -> set[str]:
+    """Return the names as in parameters.toml of the values that settings set."""
     keys = [parse_setting(text)[0] for text in settings]
     return {
         name
-        for name in known.values
-        if any(place == key or place.startswith(f"{key}.") for place in _SETTINGS_OF[name] for key in keys)
+        for name, places in _SETTINGS_OF.items()
+        if any(place == key or place.startswith(f"{key}.") for place in places for key in keys)
     }
 
 

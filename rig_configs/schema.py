@@ -1,5 +1,8 @@
 """The schema of the rig file. Every number has its unit in its name; unknown keys are refused.
 
+A mass or length without a stated standard uncertainty (`mass_std_kg`, `length_std_m`, …) is not exact: the usual share
+of it is assumed (rig_configs.known.USUAL_SHARE). 0 states an exact number.
+
 A file has the physical part (rotor, imbalance, pendulums, suspension), the devices with their calibration, the limits
 of the rig, the validation points, and, for a simulated rig, `virtual`: properties of its wires and sensors and, under
 `virtual.truth`, the true numbers that differ from the file's physical part.
@@ -21,6 +24,7 @@ from rig_configs.drivers import installed, settings_of
 from rig_configs.known import (
     INDEX,
     PHYSICAL,
+    USUAL_SHARE,
     ZERO_A,
     ZERO_B,
     Instrument,
@@ -37,7 +41,7 @@ class Rotor(RigTable):
     """Disk and column."""
 
     mass_kg: Annotated[float, Field(gt=0, le=1e4)]
-    mass_std_kg: NotNegative = 0.0
+    mass_std_kg: NotNegative | None = None
 
 
 class Imbalance(RigTable):
@@ -45,8 +49,13 @@ class Imbalance(RigTable):
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
     radius_m: Annotated[float, Field(ge=0, le=1)]
-    mass_std_kg: NotNegative = 0.0
-    radius_std_m: NotNegative = 0.0
+    mass_std_kg: NotNegative | None = None
+    radius_std_m: NotNegative | None = None
+
+    @property
+    def assumed_radius_std_m(self) -> float:
+        """Standard uncertainty of the radius, m: the stated one, or the usual share of it."""
+        return USUAL_SHARE * self.radius_m if self.radius_std_m is None else self.radius_std_m
 
 
 class PendulumTable(RigTable):
@@ -67,8 +76,8 @@ class PendulumTable(RigTable):
     ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
     ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4
     rolling_resistance_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
-    mass_std_kg: NotNegative = 0.0
-    length_std_m: NotNegative = 0.0
+    mass_std_kg: NotNegative | None = None
+    length_std_m: NotNegative | None = None
 
     @model_validator(mode="after")
     def _only_balls_roll(self) -> PendulumTable:
@@ -95,7 +104,7 @@ class Pendulums(RigTable):
     b: PendulumTable
     pivot_shift_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     pivot_shift_compensated: bool = True
-    pivot_shift_std_m: NotNegative = 0.0
+    pivot_shift_std_m: NotNegative | None = None
 
 
 class Suspension(RigTable):
@@ -285,12 +294,16 @@ class Rig(RigTable):
         """Known numbers with standard uncertainties and common sources of error."""
         values = physical_numbers(self.physics) | {ZERO_A: 0.0, ZERO_B: 0.0, INDEX: 0.0}
         instrument_of = {name: each for each in self.instruments.values() for name in each.measures}
-        found = [own_source(name, std, instrument_of.get(name)) for name, std in self._stds().items() if std]
         scales = [scale_source(name, each, values) for name, each in self.instruments.items()]
-        return KnownNumbers(values, (*found, *(scale for scale in scales if scale is not None)))
+        by_scale = {name for scale in scales if scale is not None for name in scale.effects}
+        stated = self._stds()
+        assumed = tuple(n for n, std in stated.items() if std is None and values[n] and n not in by_scale)
+        stds = stated | {name: USUAL_SHARE * values[name] for name in assumed}
+        found = [own_source(name, std, instrument_of.get(name)) for name, std in stds.items() if std]
+        return KnownNumbers(values, (*found, *(scale for scale in scales if scale is not None)), assumed)
 
-    def _stds(self) -> dict[str, float]:
-        """Return the standard uncertainty of each number alone."""
+    def _stds(self) -> dict[str, float | None]:
+        """Return the standard uncertainty of each number alone; None where the rig file does not state it."""
         a, b, roles = self.pendulums.a, self.pendulums.b, self.roles
         zero = math.radians(roles.zero_std_deg)
         return {

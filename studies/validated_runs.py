@@ -37,10 +37,10 @@ def validated(
         Its warnings include releases that deviate from the model, and run-ups that were not compared.
     """
     if not rig.validation.releases:
-        return validate(runs, rig, known, axis_angle_deg)
+        return validate(runs, rig, known, axis_angle_deg, exact=set_by_hand)
     releases = check_releases(runs, rig, known, notify, set_by_hand)
     run_ups = check_run_ups(runs, rig, known, notify)
-    found = validate(runs, rig, known, axis_angle_deg, [*releases, *run_ups])
+    found = validate(runs, rig, known, axis_angle_deg, [*releases, *run_ups], set_by_hand)
     left_out = [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
     left_out += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
     return replace(found, of_releases=[*found.of_releases, *left_out])

@@ -89,6 +89,24 @@ def test_two_things_that_are_wrong_are_found_as_a_pair(rig: Rig, drawn: Drawn, r
     assert {cause.name for cause in best.causes} == {"k2_N_per_m", "zeta1"}
 
 
+def test_values_that_no_test_identified_are_named_and_are_not_exact(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
+    """The rig file's S_P, c3, c4 differ from the true ones by 0.4 to 4 %, as design values do."""
+    bare = drawn.identified.without(["SP_kg_m", "c3_Nms_per_rad", "c4_Nms_per_rad"])
+    found = validate(runs, rig, bare, drawn.axis_angle_deg)
+    assert found.passed, [point.why for point in found.points.values()]
+    assert found.explanations is None
+    design = rig.physics.identified()
+    assert {name: value for name, (value, _) in found.filled.items()} == {
+        name: design[name] for name in ("c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m")
+    }
+    assert set(found.to_json()["filled"]) == set(found.filled)
+    (sentence,) = [text for text in found.warnings if "design value" in text]
+    assert "SP_kg_m" in sentence
+    set_by_hand = validate(runs, rig, bare, drawn.axis_angle_deg, exact=["SP_kg_m", "c3_Nms_per_rad", "c4_Nms_per_rad"])
+    assert not set_by_hand.filled
+    assert not set_by_hand.passed  # a value that was set is exact, and these are wrong
+
+
 def test_what_the_user_grants_the_model_is_in_every_row(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
     granted = rig.model_copy(
         update={"validation": rig.validation.model_copy(update={"model_std_deg": 3.0, "model_std_mm": 1.0})}
@@ -147,6 +165,19 @@ def test_a_cause_that_could_have_any_size_comes_after_one_that_explains_nearly_a
     found = explanations(rows_of([4.0, 1.6]), (bow, length))
     assert found.singles[1].chi2 < found.singles[0].chi2
     assert [each.causes for each in found.singles] == [(length,), (bow,)]
+
+
+def test_a_cause_that_the_points_do_not_show_is_not_offered() -> None:
+    shown = Cause("a", "a", math.nan, 1.0, np.array([1.0, 0.0, 0.0]), "", 1.0, "")
+    hidden = Cause("k1_N_per_m", "k1", 2600.0, 1.0, np.zeros(3), "%", 1.0, "")
+    found = explanations(rows_of([9.0, 1e3, -1e3]), (hidden, shown))
+    assert [each.causes for each in found.singles] == [(shown,)]
+    (sentence,) = found.sentences
+    assert "k1" not in sentence
+    assert "nearest" not in sentence  # it leaves nearly all of χ²
+    assert "2e+06 on 3" in sentence
+    near = explanations(rows_of([1e3, 40.0, -40.0]), (hidden, shown))
+    assert "the nearest is a 1000" in near.sentences[0]
 
 
 def test_a_pair_is_ranked_by_its_likelihood_over_both_priors() -> None:

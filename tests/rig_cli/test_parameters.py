@@ -83,6 +83,47 @@ def test_show_with_masses_and_without_kept_tests(capsys: pytest.CaptureFixture[s
     assert "has too little" in out
 
 
+def test_show_with_a_rig_lists_every_value_in_use_with_its_origin(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = kept(tmp_path / "p.toml")
+    code, out, _ = run_rig(capsys, "parameters", "show", str(path), "--rig", "virtual")
+    assert code == 0
+    assert "SP_kg_m" in out
+    assert "design value, not identified" in out
+    _, out, _ = run_rig(capsys, "parameters", "show", str(path), "--rig", "virtual", "--json")
+    used = json.loads(out)["files"][0]["in_use"]
+    assert used["k1_N_per_m"] == {
+        "name": "k1_N_per_m",
+        "value": 2600.0,
+        "std": pytest.approx(np.hypot(0.5, 0.3)),
+        "unit": "N/m",
+        "origin": "identified",
+    }
+    assert (used["SP_kg_m"]["origin"], used["rotor.mass_kg"]["origin"]) == ("design", "exact")
+    assert used["SP_kg_m"]["std"] > 0.01 * used["SP_kg_m"]["value"]
+
+
+@pytest.mark.parametrize("command", ["predict", "map", "plan"])
+def test_commands_name_the_values_that_given_parameters_lack(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    path, more = kept(tmp_path / "p.toml"), []
+    if command == "predict":
+        more = ["--point", "C"]
+    elif command == "map":
+        more = ["--x", "speed_ratio=2:3:2", "--y", "suspension.zeta1=0.01:0.02:2", "-o", str(tmp_path / "m.npz")]
+    else:
+        more = ["--want", "k1=50%"]
+    code, _, err = run_rig(
+        capsys, command, "virtual", "--parameters", str(path), *more, "--set", "suspension.zeta2=0.02"
+    )
+    assert code == 0, err
+    (line,) = [line for line in err.splitlines() if "design value" in line]
+    assert "SP_kg_m" in line
+    assert "zeta2" not in line  # it was set
+
+
 def test_diff_states_what_changed_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     old, new = kept(tmp_path / "old.toml"), kept(tmp_path / "new.toml", {"k2_N_per_m": 1.05}, day=2)
     code, out, _ = run_rig(capsys, "parameters", "diff", str(old), str(new))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+from importlib import resources
 
 import pytest
 from hypothesis import given, strategies as st
 
 from rig_configs import RigFileError, load_rig
-from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, physical_numbers, with_number
+from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, assumed_remarks, physical_numbers, with_number
+from rig_configs.load import rig_from_text
 
 BALANCE = [
     "instruments.balance.measures=['rotor.mass_kg', 'pendulums.a.mass_kg']",
@@ -18,8 +21,9 @@ BALANCE = [
 ]
 
 
-def test_a_rig_file_without_uncertainties_takes_masses_and_lengths_as_exact_and_zeros_as_they_are_given() -> None:
+def test_numbers_stated_without_error_are_exact_and_zeros_are_as_they_are_given() -> None:
     known = load_rig("virtual").known
+    assert known.assumed == ()
     assert {source.name for source in known.sources} == {ZERO_A, ZERO_B}
     assert known.std(ZERO_A) == pytest.approx(math.radians(0.05))
     assert known.exact == tuple(name for name in PHYSICAL if name != "pendulums.pivot_shift_m")
@@ -41,6 +45,24 @@ def test_every_number_may_carry_its_standard_uncertainty() -> None:
         assert known.std(number) == std
     assert known.std(INDEX) == pytest.approx(math.radians(0.1))
     assert known.exact == ()
+
+
+def test_a_number_without_a_stated_uncertainty_is_not_exact() -> None:
+    text = (resources.files("rig_configs") / "virtual.toml").read_text(encoding="utf-8")
+    bare = re.sub(r"(?m)^(mass_std_kg|length_std_m|radius_std_m) = .*\n", "", text)
+    rig = rig_from_text("bare.toml", bare)
+    stated = [name for name in PHYSICAL if name != "pendulums.pivot_shift_m"]  # the rig has no pivot shift
+    assert list(rig.known.assumed) == stated
+    assert rig.known.exact == ()
+    for name in stated:
+        assert rig.known.std(name) == pytest.approx(1e-3 * rig.known.values[name])
+    assert rig.imbalance.assumed_radius_std_m == pytest.approx(1e-3 * rig.imbalance.radius_m)
+    (sentence,) = assumed_remarks(rig.known.assumed)
+    assert "rotor.mass_kg" in sentence
+    assert "0.1 % of each" in sentence
+    weighed = rig_from_text("bare.toml", bare, settings=BALANCE).known
+    assert set(weighed.assumed) == set(stated) - {"rotor.mass_kg", "pendulums.a.mass_kg"}
+    assert rig_from_text("bare.toml", bare, settings=["rotor.mass_std_kg=0.0"]).known.std("rotor.mass_kg") == 0.0
 
 
 def test_range_and_lever_add_to_a_laser_s_gain() -> None:

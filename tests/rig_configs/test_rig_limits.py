@@ -443,15 +443,18 @@ def test_exact_values_have_no_correlation_and_an_angle_may_be_exact() -> None:
     assert half.correlation == pytest.approx(np.array([[1.0, -0.5], [-0.5, 1.0]]))
 
 
-def test_completed_parameters_take_the_rest_from_the_rig_as_exact() -> None:
+def test_completed_parameters_take_the_rest_from_the_rig_with_the_uncertainty_of_a_design() -> None:
     physics = load_rig("virtual").physics
     covariance = np.array([[4.0, 1e-4], [1e-4, 1e-8]])
     short = parameters(covariance=covariance, shared={GAIN_X: np.array([1.0, 2e-5])})
-    whole = short.completed(physics)
+    whole = short.completed(physics, exact=["zeta2"])
     assert whole.values == {**physics.identified(), **short.values}
     assert list(whole.values)[:2] == ["k1_N_per_m", "zeta1"]
     assert np.array_equal(whole.covariance[:2, :2], covariance)
-    assert not whole.covariance[2:].any()
+    assert not whole.covariance[2:, :2].any()
+    assert whole.std["zeta2"] == 0.0
+    for name in set(physics.identified()) - {"k1_N_per_m", "zeta1", "zeta2"}:
+        assert 0.04 * whole.values[name] < whole.std[name] < whole.values[name]
     assert whole.shared[GAIN_X].tolist() == [1.0, 2e-5, 0, 0, 0, 0, 0]
     assert whole.without(set(physics.identified()) - set(short.values)).shared[GAIN_X].tolist() == [1.0, 2e-5]
 
