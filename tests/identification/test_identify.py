@@ -11,6 +11,7 @@ from synthetic import Campaign
 from identification import Estimate, NotIdentifiable, combine, identify
 from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
+from rig_configs.schema import Rotor
 
 TARGETS = {"k": 5e-4, "z": 1e-2, "c": 1e-2, "S": 5e-3}
 TRUTHS = [
@@ -69,6 +70,17 @@ def test_a_dead_laser_leaves_the_other_s_direction(reading: float, dead: str, wo
         assert abs(value - campaign.truth.identified()[name]) < 4 * found.parameters.std[name]
     assert any(f"laser {dead}" in w and "check its cable" in w for w in found.warnings)
     assert any(f"pulled along {dead}, but only laser {works} works" in w for w in found.warnings)
+
+
+def test_a_disk_that_nobody_weighed_exactly_is_within_the_interval() -> None:
+    campaign = Campaign(1, {"virtual.truth.rotor.mass_kg": 7.007})
+    rig = campaign.rig.model_copy(update={"rotor": Rotor(mass_kg=7.0)})  # states no uncertainty
+    found = identify([campaign.ring_down("x"), campaign.ring_down("y")], rig)
+    true = campaign.truth.identified()
+    for name in ("k1_N_per_m", "k2_N_per_m"):
+        off = found.parameters.values[name] - true[name]
+        assert 0.5e-3 * true[name] < abs(off) < 2.5 * found.parameters.std[name]
+    assert any("states no standard uncertainty of rotor.mass_kg:" in w for w in found.warnings)
 
 
 def test_a_log_given_twice_counts_once() -> None:
