@@ -128,7 +128,10 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     From 10 on:
 
     - the start message of a node on CAN that is its first frame after the opening of the bus is no restart;
-      nor is the message by which a radio node reports before its first sample that it was switched on.
+      nor is the message by which a radio node reports before its first sample that it was switched on;
+    - a step of a node's clock, which contradicts the number of its samples, is an event, and later times are put back
+      by it;
+    - an index mark that bounces is dropped and not counted; turns that were not counted are an event.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
