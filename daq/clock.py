@@ -24,7 +24,7 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 9
+FIRST_RULES, NEWEST_RULES = 1, 10
 _IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
@@ -124,6 +124,14 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
     - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late, the host was late as
       long as their counter goes on, their timestamps agree with it, or it is less than 0.1 s, unless whole cycles of
       the counter are missing.
+
+    From 10 on:
+
+    - the start message of a node on CAN that is its first frame after the opening of the bus is no restart;
+      nor is the message by which a radio node reports before its first sample that it was switched on;
+    - a step of a node's clock, which contradicts the number of its samples, is an event, and later times are put back
+      by it;
+    - an index mark that bounces is dropped and not counted; turns that were not counted are an event.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -31,12 +31,16 @@ class Batch:
     columns: Mapping[str, NDArray[Any]]
 
 
+LOSS_KINDS = ("gap", "damage", "marks", "clock")
+"""Kinds of events about what is missing or contradicts itself: samples; bytes and frames; index marks; a clock."""
+
+
 @dataclass(frozen=True)
 class DeviceEvent:
     """An event of a device: a gap, a released lock, an answer, damage.
 
     Attributes:
-        kind: "gap", "damage", "restart", "lock", "acknowledge", "reply", "status", "emergency", "drive", "fault".
+        kind: one of LOSS_KINDS, "restart", "lock", "acknowledge", "reply", "status", "emergency", "drive", "fault".
         device: name of the device in the rig file.
         text: description for the log and the operator; of a reply the answer itself.
         facts: numbers and strings that are written to the log with the event.

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 from rich.text import Text
 
+from daq.items import LOSS_KINDS
 from daq.log.content import seconds
 from daq.log.outcome import not_reached
 from rig_cli.log_table import STATES, VERDICTS
@@ -158,7 +159,7 @@ def _event_lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
 
 
 def _event_style(kind: str) -> str:
-    return "red" if kind in ("gap", "damage", "fault", "restart", "emergency", "disk", "stop", "trip") else ""
+    return "red" if kind in (*LOSS_KINDS, "fault", "restart", "emergency", "disk", "stop", "trip") else ""
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

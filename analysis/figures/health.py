@@ -18,6 +18,7 @@ from analysis.errors import NotEnoughData
 from analysis.figures.sheet import WIDTH_IN, Look, sheet
 from analysis.figures.style import label
 from daq.errors import LogError
+from daq.items import LOSS_KINDS
 from daq.log import Log
 from daq.log.content import seconds, stretches
 from daq.log.samples import Samples
@@ -38,7 +39,7 @@ _LOOKS: tuple[Look, ...] = (
     {"color": "#8C6D1F", "ls": (0, (1, 2.5))},
 )
 _MIN_COUNT = 20
-_GAPS = ("gap", "damage", "silence")
+_GAPS = (*LOSS_KINDS, "silence")
 _UNUSABLE = ("invalid", "suspect")
 _FOOT = (
     "Rate: samples in each stretch over the stream's median stretch. Age: from a sample's own time on the common clock "

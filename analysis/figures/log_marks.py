@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from analysis.figures.style import GREY
+from daq.items import LOSS_KINDS
 from daq.log.content import seconds
 
 _LETTER_WIDTH = 0.0082  # of one letter of size _SIZE, relative to the axes' width
@@ -42,7 +43,7 @@ class Marks:
     def add(self, event: Mapping[str, Any], time: float) -> None:
         """Add an event of the log; events without information on the run (replies, status …) are ignored."""
         kind, device, text = event.get("kind"), str(event.get("device", "")), str(event.get("text", ""))
-        if kind in ("gap", "damage"):
+        if kind in LOSS_KINDS:
             lost = self._lost.setdefault(device, np.zeros(self._columns, bool))
             self._shade(lost, time - seconds(event, "span_s"), time)
         elif kind == "silence":

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Container
 
 from daq.channels import RX
+from daq.clock import NEWEST_RULES
 from daq.items import DeviceEvent
 from daq.transports import slcan
 
@@ -20,6 +21,7 @@ _RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
 _LINE_ENDS = b"\r\x07"
 _AGAIN_NS = 1_000_000_000
 _KEPT_FRAMES = 64  # sent frames with which a received command is compared
+_FIRST_CONTACT_RULES = 10  # of a log, since which the first message of a node is no restart
 _MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
 
 
@@ -95,6 +97,32 @@ class CanLines:
         self._losses["refused_lines"] += refused
         text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
         return [DeviceEvent("refused", self._device, text, {"lines": refused})]
+
+
+class FirstContact:
+    """Distinction of the start message of a node that was powered before the bus was opened from that of a restart.
+
+    A node sends a message when it starts. Without another node on the bus it is not acknowledged, and the node repeats
+    it until the host opens its adapter. The message is then the node's first frame, and the set-up comes after it.
+
+    Args:
+        rules: of the log, see `daq.clock.clock_rules`; before 10 every start message is a restart.
+
+    Attributes:
+        pending: whether the bus was opened, and the node has sent nothing else since.
+    """
+
+    def __init__(self, rules: int = NEWEST_RULES) -> None:
+        self.pending: bool = False
+        self._is_new = rules >= _FIRST_CONTACT_RULES
+
+    def sent(self, data: bytes) -> None:
+        """Take text that the host has sent to its adapter."""
+        self.pending = self.pending or (self._is_new and b"O\r" in data)
+
+    def heard(self) -> None:
+        """Take a frame of the node that is no start message."""
+        self.pending = False
 
 
 class OtherHost:

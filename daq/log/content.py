@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from daq.channels import HEALTH_TOPIC, RX, raw_topic
+from daq.items import LOSS_KINDS
 from daq.log import Log
 from daq.log.outcome import TRIP
 
@@ -72,7 +73,7 @@ class EventContent:
         kinds: number of events of each kind.
         lines: similar events combined, in the order of their first.
         more: number of events beyond the maximum number of lines.
-        lost: number of events and their total duration in s, by device and kind ("gap", "damage", "silence").
+        lost: number of events and their total duration in s, by device and kind (`LOSS_KINDS` and "silence").
         trips: complete events of interlock trips; only the first ones if there are many.
     """
 
@@ -155,7 +156,7 @@ def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventConte
             content.trips.append(event)
         if kind == "silence":
             device = str(event.get("of", device))
-        if kind in ("gap", "damage") or (kind == "silence" and "span_s" in event):  # a silence is counted at its end
+        if kind in LOSS_KINDS or (kind == "silence" and "span_s" in event):  # a silence is counted at its end
             count, span_s = content.lost.setdefault(device, {}).get(kind, (0, 0.0))
             content.lost[device][kind] = (count + 1, span_s + seconds(event, "span_s"))
     return content

@@ -10,11 +10,15 @@ from typing import Any, Literal
 
 from daq.channels import EVENTS_TOPIC
 from daq.errors import LogError
+from daq.items import LOSS_KINDS
 from daq.log import Log
 
 _SENSORS_OWN = ("invalid",)  # the reading arrived, but the sensor marked it as invalid
 _LOG = "log"
-_COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines", "suspect")
+_COUNTED = (
+    *("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines", "suspect"),
+    *("doubled_marks", "turns", "clock_steps"),
+)
 _SILENT_MS = "_silent_ms"  # suffix of the duration of a channel's silence
 
 
@@ -96,7 +100,7 @@ def _counts(found: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, int]]
 def _from_events(events: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
     for event in events:
-        if event.get("kind") in ("gap", "damage", "suspect"):
+        if event.get("kind") in (*LOSS_KINDS, "suspect"):
             for kind in _COUNTED:
                 counts[str(event.get("device", ""))][kind] += int(event.get(kind, 0))
         elif event.get("kind") == "silence":  # the host's own event, of a device's channel

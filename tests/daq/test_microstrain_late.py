@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 
+from daq.clock import NEWEST_RULES
 from daq.drivers.microstrain.stream import MicroStrainPipeline
 from daq.items import RX, Batch, DeviceEvent
 from tests.daq.test_microstrain import NODE, RATE_CODE, UTC_S, S, kinds, packet, pipeline, status, sweeps
@@ -179,8 +180,10 @@ def test_a_node_that_sends_samples_of_another_kind_only_is_explained() -> None:
 
 @pytest.mark.parametrize(("kind", "payload"), [(0x16, bytes(21)), (0x00, b"\x0f\x08\xfc")])
 def test_every_report_of_a_start_is_a_restart(kind: int, payload: bytes) -> None:
-    assert kinds(pipeline().feed(RX, packet(kind, payload), S)) == ["restart"]
-    assert "restart" not in kinds(pipeline({"clock_rules": 6}).feed(RX, packet(kind, payload), S))
+    for rules, restarts in ((NEWEST_RULES, 1), (6, 0)):
+        line = pipeline({"clock_rules": rules})
+        line.feed(RX, sweeps(0, [(1, 1)]), S)
+        assert kinds(line.feed(RX, packet(kind, payload), S)).count("restart") == restarts
 
 
 def test_the_repetition_of_the_beacon_is_no_foreign_node() -> None:

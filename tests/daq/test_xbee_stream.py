@@ -138,7 +138,7 @@ def test_a_repeated_frame_gives_no_sample_twice_and_a_restart_restarts_the_count
         into, [api(p) for p in (block(0, 898), block(0, 898), block(1, 898), late, block(0), block(1))]
     )
     assert column(batches, "index").tolist() == [*range(15), *range(10)]
-    assert [event.kind for event in events] == ["restart"]
+    assert [event.kind for event in events] == ["clock", "restart"], "the time of the block after 10 samples is 2 s"
 
 
 def test_frames_from_elsewhere_are_counted_and_reported_once() -> None:

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 
-from daq.drivers.can_lines import CLOSE_BUS, open_bus
+from daq.drivers.can_lines import CLOSE_BUS, FirstContact, open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import NodeObjects
@@ -90,7 +90,7 @@ class DriveControl:
         self._fault_without_host: bool | None = None  # whether a missing heartbeat led to FAULT; None: not measured
         self._beats, self._beats_unwatched = 0, 0  # heartbeats sent, and those before the drive's watch was set
         self._beat_s = -math.inf  # time of the last one, wall s
-        self._started_again = False
+        self._started_again, self._contact = False, FirstContact()
         self._stopping_s: float | None = None  # time of the first of the present stop commands, wall s
         self._beat_ended = False  # whether the heartbeat was ended to make the drive stop by itself
         self._watch_ms = min(65535, round(clock.patience(config.heartbeat_timeout_ms)))
@@ -109,18 +109,22 @@ class DriveControl:
             if identifier == report and len(data) >= self._profile.size:  # the most frequent case
                 if self._started_again:  # the mapping may be the manufacturer's again, without a speed
                     continue
+                self._contact.heard()
                 self._statusword, self._reported_rpm = self._profile.unpack(data)
                 self._reported_ns, self._awaits_report = self._clock.now_ns(), False
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
             elif identifier == cia301.cob_sdo_answer(node) and len(data) == 8:
+                self._contact.heard()
                 self._objects.take_answer(data)
             elif identifier == cia301.cob_emergency(node) and len(data) == 8:
                 code = cia301.unpack_emergency(data).error_code
                 self.emergencies = [*self.emergencies[-_MAX_EMERGENCIES:], code] if code else []
             elif identifier == cia301.cob_heartbeat(node) and (state := cia301.heartbeat(data)) is not None:
                 self._network_state = state
-                if state == cia301.Heartbeat.BOOT_UP:
+                if state != cia301.Heartbeat.BOOT_UP:
+                    self._contact.heard()
+                elif not self._contact.pending:
                     self._statusword, self._started_again = None, True
 
     @property
@@ -150,7 +154,8 @@ class DriveControl:
         self._awaits_report = False
         self._end_requests()
         self._bus_open = True
-        self._send(open_bus(c.bitrate))
+        self._contact.sent(opening := open_bus(c.bitrate))
+        self._send(opening)
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
         demands.set_heartbeat(self._objects, c.heartbeat_ms)
         word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(self._profile.actual, 0)

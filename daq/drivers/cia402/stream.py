@@ -9,7 +9,7 @@ import numpy as np
 
 from daq import channels
 from daq.clock import NEWEST_RULES
-from daq.drivers.can_lines import CanLines
+from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
@@ -48,10 +48,12 @@ class DrivePipeline:
         self._target_rpm = 0.0
         self._status: int | None = None
         self._network: cia301.Heartbeat | None = None
+        self._contact = FirstContact(rules)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
+            self._contact.sent(data)
             frames = cia301.own_frames(self._lines.sent(data))
             self.host_beats.sent(frames, host_ns)
             for frame in frames:
@@ -65,6 +67,7 @@ class DrivePipeline:
         report, beat = cia301.cob_tpdo(1, self._node), cia301.cob_heartbeat(self._node)
         for frame in self.frames:
             if frame.arbitration_id == report:  # the most frequent case
+                self._contact.heard()
                 if len(frame.data) >= self._profile.size:
                     rows.append((*self._profile.unpack(frame.data), self._target_rpm))
                 elif not self.complaint:
@@ -73,6 +76,8 @@ class DrivePipeline:
             self._take_target(frame)
             if frame.arbitration_id == beat:
                 out += self._heartbeat(frame)
+            elif frame.arbitration_id == cia301.cob_sdo_answer(self._node):
+                self._contact.heard()
             elif frame.arbitration_id == cia301.cob_emergency(self._node) and len(frame.data) == 8:
                 emergency = cia301.unpack_emergency(frame.data)
                 facts: dict[str, Any] = {"error_code": emergency.error_code, "register": emergency.error_register}
@@ -110,8 +115,13 @@ class DrivePipeline:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
         state = cia301.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
+        if state is not None and state != cia301.Heartbeat.BOOT_UP:
+            self._contact.heard()
         if state is None or (state == before and state != cia301.Heartbeat.BOOT_UP):
             return []
+        if state == cia301.Heartbeat.BOOT_UP and self._contact.pending:
+            text = "the drive had started before the bus was opened (boot-up message); its set-up follows"
+            return [DeviceEvent("network", self._device, text, {"network_state": int(state)})]
         if state == cia301.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
             return [DeviceEvent("restart", self._device, text)]

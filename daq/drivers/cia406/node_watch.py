@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from daq.drivers.can_lines import FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.settings import FAULT_KEYS, Encoder
@@ -60,6 +61,7 @@ class NodeWatch:
         encoder: the encoder.
         heartbeat_ms: period of its heartbeat, ms.
         found: faults that it had at its opening.
+        contact: first contact with the encoder; without it every boot-up message is a restart.
 
     Attributes:
         faulty: whether it has an error: by its newest emergency, before the first one as it was found at its opening.
@@ -68,10 +70,17 @@ class NodeWatch:
         lost_heartbeats: number of times that its heartbeat was lost.
     """
 
-    def __init__(self, device: str, encoder: Encoder, heartbeat_ms: int, found: FoundFaults = _NO_FAULTS) -> None:
+    def __init__(
+        self,
+        device: str,
+        encoder: Encoder,
+        heartbeat_ms: int,
+        found: FoundFaults = _NO_FAULTS,
+        contact: FirstContact | None = None,
+    ) -> None:
         self.faulty: bool = found.faulty
         self.fault: str = f"of encoder {encoder.name}: since the opening, {found.text}" if found.faulty else ""
-        self._found = found
+        self._found, self._contact = found, contact or FirstContact()
         self.restarted: bool = False
         self.lost_heartbeats: int = 0
         self._device, self._encoder = device, encoder
@@ -101,6 +110,12 @@ class NodeWatch:
         if state is None:
             return
         before, self._state, self._beat_ns = self._state, state, host_ns
+        if state == cia301.Heartbeat.BOOT_UP and self._contact.pending:
+            text = f"{self.name} had started before the bus was opened (boot-up message); its set-up follows"
+            yield self._event("network", text, network_state=int(state))
+            return
+        if state != cia301.Heartbeat.BOOT_UP:
+            self._contact.heard()
         if state == cia301.Heartbeat.BOOT_UP:
             self.restarted = True
             text = f"{self.name} started again (boot-up message): its set-up is gone. Open the rig again"

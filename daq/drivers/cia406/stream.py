@@ -15,7 +15,7 @@ import numpy as np
 
 from daq import channels
 from daq.clock import clock_rules
-from daq.drivers.can_lines import CanLines
+from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
@@ -63,8 +63,11 @@ class EncoderPipeline:
         self._device, self._settings = device, settings
         self._lines = CanLines(device, self.losses)
         encoders = settings.encoders
+        self._contacts = {each.name: FirstContact(clock_rules(identity)) for each in encoders}
         self._watches = {
-            each.name: NodeWatch(device, each, settings.heartbeat_ms, FoundFaults.of(each, identity))
+            each.name: NodeWatch(
+                device, each, settings.heartbeat_ms, FoundFaults.of(each, identity), self._contacts[each.name]
+            )
             for each in encoders
         }
         self._begun = False
@@ -107,6 +110,8 @@ class EncoderPipeline:
             self._begun = True
             out += [event for watch in self._watches.values() for event in watch.opened()]
         if direction == TX:
+            for contact in self._contacts.values():
+                contact.sent(data)
             for frame in cia301.own_frames(self._lines.sent(data)):
                 if frame.arbitration_id == cia301.COB_SYNC:
                     self._has_sent = True
@@ -219,6 +224,7 @@ class EncoderPipeline:
     # --- messages of an encoder --------------------------------------------------------------------------------
 
     def _reply(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        self._contacts[name].heard()
         yield DeviceEvent("reply", self._device, slcan.encode(frame).decode().strip())
 
     def _heartbeat(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
@@ -231,6 +237,7 @@ class EncoderPipeline:
         yield from self._watches[name].emergency(frame)
 
     def _report(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        self._contacts[name].heard()
         raw = wire.position(frame.data, self._offsets[name])
         wrong = ""
         if raw is None:

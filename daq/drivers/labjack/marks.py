@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from daq.drivers.index_marks import MarkSequence
 from daq.drivers.labjack.settings import Tachometer
-from daq.items import Batch
+from daq.items import Batch, DeviceEvent
 
 
 class EdgeFinder:
@@ -57,10 +58,11 @@ class IndexMarks:
     Args:
         tacho: its settings.
         period_ns: time between two scans on the device's clock, ns.
+        sequence: examines the marks for bounces and missing turns; None for logs of earlier rules.
     """
 
-    def __init__(self, tacho: Tachometer, period_ns: float) -> None:
-        self._tacho, self._period_ns = tacho, period_ns
+    def __init__(self, tacho: Tachometer, period_ns: float, sequence: MarkSequence | None) -> None:
+        self._tacho, self._period_ns, self._sequence = tacho, period_ns, sequence
         self._sign = 1.0 if tacho.edge == "rising" else -1.0
         if tacho.is_digital:
             self._edges = EdgeFinder(self._sign * 0.5, 0.25)
@@ -78,8 +80,8 @@ class IndexMarks:
 
     def feed(
         self, signal: NDArray[np.float64] | NDArray[np.uint16], number: NDArray[np.int64], time_ns: NDArray[np.int64]
-    ) -> list[Batch]:
-        """Return the marks in consecutive scans.
+    ) -> list[Batch | DeviceEvent]:
+        """Return the marks in consecutive scans, and the events about marks that contradict one another.
 
         Args:
             signal: volts of the input, or states of its port, shape (n,), n ≥ 1.
@@ -99,9 +101,28 @@ class IndexMarks:
         first_ns = int(times[0])
         mark_ns = first_ns + np.rint(np.interp(at, known, (times - first_ns).astype(np.float64))).astype(np.int64)
         own_ns = at * self._period_ns
-        turns = np.array([self._turn(each) for each in own_ns.tolist()], np.uint32)
-        columns = {"revolutions": turns, "node_time_us": np.rint(own_ns / 1000).astype(np.uint64)}
-        return [Batch(channels.TACHO, mark_ns, turns, columns)]
+        out: list[Batch | DeviceEvent] = []
+        numbers: list[int | None] = []
+        for own, at_ns in zip(own_ns.tolist(), mark_ns.tolist(), strict=True):
+            found, events = self._examined(own, at_ns)
+            numbers.append(found)
+            out += events
+        whole = np.array([each is not None for each in numbers])
+        if not whole.any():
+            return out
+        turns = np.array([each for each in numbers if each is not None], np.uint32)
+        columns = {"revolutions": turns, "node_time_us": np.rint(own_ns[whole] / 1000).astype(np.uint64)}
+        return [*out, Batch(channels.TACHO, mark_ns[whole], turns, columns)]
+
+    def _examined(self, own_ns: float, time_ns: int) -> tuple[int | None, list[DeviceEvent]]:
+        """Return the number of a mark, None if it is a bounce, and the events about it."""
+        before, turn = self._last, self._turn(own_ns)
+        if self._sequence is None:
+            return turn, []
+        number, events = self._sequence.feed(round(own_ns), turn, time_ns)
+        if number is None:
+            self._last = before
+        return number, events
 
     def _turn(self, own_ns: float) -> int:
         """Return the number of the revolution that a mark begins; marks that were lost with scans are counted."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.channels import Channel
 from daq.clock import AGE_RULES, ClockMap, clock_rules
+from daq.drivers.index_marks import MARK_RULES, MarkSequence
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
 from daq.drivers.labjack.pace import PaceWatch
@@ -65,10 +66,11 @@ class LabJackPipeline:
             name: VoltScale.of(identity, name) or nominal(model, range_V) for name, range_V in settings.ranges_V.items()
         }
         self._inputs = len(settings.scan_list)
-        self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns)
         self._decoder = wire.MessageDecoder()
         self._pace = PaceWatch(1e9 / self._period_ns)
         self._rules = clock_rules(identity)
+        sequence = MarkSequence(device, self.losses) if self._rules >= MARK_RULES else None
+        self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns, sequence)
         self._clock = self._new_clock()
         self._has_learned = False  # whether the clock's map has seen a read whose age is known
         self._skips = False  # whether scans are being skipped: the age of samples is unknown

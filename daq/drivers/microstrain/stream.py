@@ -29,6 +29,7 @@ from daq.items import TX, Batch, DeviceEvent
 
 BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
+_FIRST_CONTACT_RULES = 10  # from which a node that was switched on before its first sample has not started again
 _LATE_RULES = 7  # from which late packets are put into order, and restarts of the base station are restarts
 _LAG_VALID_NS = 60_000_000_000
 _START_NS = 5_000_000_000  # after it was switched on, a node that samples by itself has sent sweeps; unverified
@@ -125,7 +126,9 @@ class MicroStrainPipeline:
     def _node_packet(self, packet: wire.Packet, host_ns: int) -> Items:
         if wire.is_discovery(packet) if self._is_new else packet.kind in wire.FIRST_DISCOVERIES:
             self._switched_on_ns = host_ns if self._is_new else None
-            return [DeviceEvent("restart", self._device, "the node reports that it was switched on")]
+            first = self._rules >= _FIRST_CONTACT_RULES and not self.has_reported
+            kind = "status" if first else "restart"  # before its first sample nothing of it is lost
+            return [DeviceEvent(kind, self._device, "the node reports that it was switched on")]
         if packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
         if not self._is_new and packet.kind != wire.SYNC_SAMPLES:

@@ -10,9 +10,11 @@ import numpy as np
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
+from daq.drivers.index_marks import MARK_RULES, MarkSequence
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.node_choice import CHOICE_RULES, NodeChoice
+from daq.drivers.rotorlink.node_clock import MAX_WAIT_NS, NodeClock, Step
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
 from daq.drivers.rotorlink.sequence import SequenceCounter
@@ -65,6 +67,7 @@ class NodePipeline:
         self._wrapped = False  # whether node frames arrive in frames of a dongle, which counts them
         self._choice = NodeChoice(device, config.node, _node_of(identity), self._rules)
         self._contradiction = ""  # between the node's status and the rig file
+        self._mark_sequence = MarkSequence(device, self.losses)
         self._restart()
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
 
@@ -96,6 +99,9 @@ class NodePipeline:
         self._next_us = 0  # node time at which that sample is due
         self._repeats = Repeats(waits=self._rules >= _REPEATS_RULES)
         self._last_us: int | None = None
+        self._own = NodeClock(self._rules)
+        self._held: list[tuple[rotorlink.IndexMark, int]] = []  # marks that wait for the next block, their host times
+        self._mark_sequence.restart()
 
     @property
     def has_reported(self) -> bool:
@@ -115,7 +121,7 @@ class NodePipeline:
 
     def waited(self) -> list[Batch | DeviceEvent]:
         """Return the samples that wait for earlier ones, which will not arrive any more."""
-        return self._blocks(self._repeats.end())
+        return [*self._blocks(self._repeats.end()), *self._released(None)]
 
     def damaged(self, reason: str) -> DeviceEvent:
         """Count a dropped frame; return the event with the reason."""
@@ -210,10 +216,7 @@ class NodePipeline:
                 arrived = Arrived(self._index(frame.first_index), frame, host_ns)
                 return self._blocks(self._repeats.feed(arrived, self._next_index, late=late))
             case rotorlink.IndexMark() if self._marks_phase:
-                node_us = np.array([self._time.unwrap(frame.node_time_us)])
-                time_ns = self._clock.map(node_us * 1000, host_ns)
-                columns = {"revolutions": np.array([frame.revolutions]), "node_time_us": node_us.astype(np.uint64)}
-                return [Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns)]
+                return self._index_mark(frame, host_ns)
             case rotorlink.LockEvent():
                 return [self._lock_event(frame, host_ns)]
             case rotorlink.Acknowledge():
@@ -225,8 +228,58 @@ class NodePipeline:
             case _:
                 return []
 
+    def _index_mark(self, frame: rotorlink.IndexMark, host_ns: int) -> list[Batch | DeviceEvent]:
+        """Return the sample of a mark, unless the mark waits for the next block."""
+        stated_us = self._time.unwrap(frame.node_time_us)
+        since_ns = self._held[0][1] if self._held else host_ns
+        if self._own.is_out_of_place(stated_us) and host_ns - since_ns < MAX_WAIT_NS:
+            self._held.append((frame, host_ns))
+            return []
+        out = self._released(None)
+        return [*out, *self._mark(frame, stated_us - self._own.shift_us, host_ns, learn=True)]
+
+    def _mark(self, frame: rotorlink.IndexMark, own_us: int, host_ns: int, *, learn: bool) -> list[Batch | DeviceEvent]:
+        """Return the sample of a mark, and the events about marks that contradict one another."""
+        node_us = np.array([own_us])
+        time_ns = self._clock.map(node_us * 1000, host_ns, learn=learn)
+        number, events = frame.revolutions, list[DeviceEvent]()
+        if self._rules >= MARK_RULES:
+            found, events = self._mark_sequence.feed(own_us * 1000, frame.revolutions, int(time_ns[0]))
+            if found is None:
+                return [*events]
+            number = found
+        columns = {"revolutions": np.array([number]), "node_time_us": node_us.astype(np.uint64)}
+        return [*events, Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns)]
+
+    def _released(self, due: tuple[int, int] | None) -> list[Batch | DeviceEvent]:
+        """Return the marks that wait.
+
+        Args:
+            due: sum of the clock's steps before the block that came after them, and the time without steps of the
+                block's first sample, µs; None without such a block.
+        """
+        held, self._held = self._held, []
+        out: list[Batch | DeviceEvent] = []
+        for frame, host_ns in held:
+            own_us = self._time.unwrap(frame.node_time_us) - self._own.shift_us
+            if due is not None:
+                expected_ns = self._mark_sequence.due_ns(frame.revolutions)
+                at_us = due[1] if expected_ns is None else 1e-3 * expected_ns
+                own_us = self._own.own_us(own_us + self._own.shift_us, due[0], at_us)
+            out += self._mark(frame, own_us, host_ns, learn=False)
+        return out
+
+    def _stepped(self, step: Step, time_ns: int) -> DeviceEvent:
+        self.losses["clock_steps"] = self.losses.get("clock_steps", 0) + 1
+        text = (
+            f"the node's clock stepped by {step.us * 1e-3:+.1f} ms within {step.span_us * 1e-3:.0f} ms: samples are "
+            "counted, so times after it are put back by the step. Look at the node's supply and firmware"
+        )
+        facts = {"clock_steps": 1, "step_s": step.us * 1e-6, "span_s": step.span_us * 1e-6, "time_ns": time_ns}
+        return DeviceEvent("clock", self._device, text, facts)
+
     def _lock_event(self, frame: rotorlink.LockEvent, host_ns: int) -> DeviceEvent:
-        node_us = np.array([self._time.unwrap(frame.node_time_us)])
+        node_us = np.array([self._time.unwrap(frame.node_time_us) - self._own.shift_us])
         name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
         facts = {
             "pendulum": frame.pendulum,
@@ -316,11 +369,14 @@ class NodePipeline:
         fresh, missing = max(0, expected - first), max(0, first - expected)
         if self._next_index == first and block.flags & rotorlink.FLAG_SAMPLES_LOST and block.period_us:
             missing = max(0, round((first_us - self._next_us) / block.period_us))  # lost in the node without an index
+        shift_us, step = self._own.shift_us, self._step_before(arrived, first_us, missing, fresh)
         if expected < arrived.behind:
             self._next_us = int(node_us[-1]) + block.period_us
+        node_us -= self._own.shift_us
+        held = self._released((shift_us, int(node_us[0])))
         self._next_index = max(expected, arrived.behind)
         if fresh >= n:
-            return []
+            return held
         counts = block.counts[fresh:]
         sequence = index[fresh:].astype(np.uint32)
         columns = {
@@ -333,15 +389,27 @@ class NodePipeline:
             "flags": np.full(n - fresh, block.flags, np.uint32),
         }
         time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
+        out: list[Batch | DeviceEvent] = [*held]
+        if step is not None:
+            out.append(self._stepped(step, int(time_ns[0])))
         if not self._records_angles:
-            return []
-        out: list[Batch | DeviceEvent] = []
+            return out
         if missing:
             self.losses["samples"] += missing
             span_s = missing * block.period_us * 1e-6
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
             out.append(DeviceEvent("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
+
+    def _step_before(self, arrived: Arrived, first_us: int, missing: int, fresh: int) -> Step | None:
+        """Take the time of a block; return the step of the node's clock before it, if its samples are new."""
+        block, n = arrived.block, len(arrived.block.counts)
+        if fresh >= n:
+            return None
+        due_us = self._next_us + (missing - fresh) * block.period_us
+        unknown = self._next_index is None or block.flags & rotorlink.FLAG_SAMPLES_LOST
+        since = 0 if unknown else n + missing
+        return self._own.take(first_us, due_us, since, block.period_us, n)
 
 
 def _node_of(identity: Mapping[str, Any]) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.clock import NEWEST_RULES
-from daq.drivers.can_lines import CanLines, OtherHost
+from daq.drivers.can_lines import CanLines, FirstContact, OtherHost
 from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc.stream import EVENT_RULES, VescPipeline
 from daq.drivers.vesc_can import wire
@@ -35,6 +35,7 @@ class CanLine:
         self._device, self._losses, self._settings = device, losses, settings
         self._number, self._newer = settings.controller_id, rules >= EVENT_RULES
         self._lines, self._other_host = CanLines(device, losses), OtherHost(device)
+        self._contact = FirstContact(rules)
         self._pieces = wire.Pieces(settings.controller_id)
         self._asks_firmware = False  # whether the query of the firmware is not answered yet
         self._others_heard = set[int]()  # other controllers whose status was reported
@@ -45,6 +46,7 @@ class CanLine:
     def sent(self, data: bytes) -> list[bytes]:
         """See VescLine."""
         out: list[bytes] = []
+        self._contact.sent(data)
         for frame in self._lines.sent(data):
             if frame.extended and wire.split(frame.arbitration_id)[1] == self._settings.controller_id:
                 self._other_host.sent(frame)
@@ -73,19 +75,28 @@ class CanLine:
 
     def _frame(self, frame: CanFrame, host_ns: int, payloads: list[bytes]) -> list[DeviceEvent]:
         command, number = wire.split(frame.arbitration_id)
+        if number == self._number and command == wire.STATUS:
+            self._contact.heard()
         if command == wire.STATUS:
             return self._status(frame.data, host_ns) if number == self._number else self._other_status(number)
         if command == wire.BOOT:
-            text = "the controller started again: it has sent the message of its start"
             own = number == self._number and self._newer
-            return [DeviceEvent("restart", self._device, text, {})] if own else []
+            return [self._started()] if own else []
         if command in _TO_HOST and number == self._settings.host_id:
+            self._contact.heard()
             payload, damaged = self._pieces.take(command, frame.data)
             if payload is not None:
                 payloads.append(payload)
                 return self.status.answer(host_ns)
             return self._damage() if damaged else []
         return self._foreign(frame, number, host_ns) if number in (self._number, wire.EVERY) else []
+
+    def _started(self) -> DeviceEvent:
+        if self._contact.pending:
+            text = "the controller had started before the bus was opened: the message of its start is its first"
+            return DeviceEvent("network", self._device, text, {})
+        text = "the controller started again: it has sent the message of its start"
+        return DeviceEvent("restart", self._device, text, {})
 
     def _status(self, data: bytes, host_ns: int) -> list[DeviceEvent]:
         status = wire.parse_status(data)

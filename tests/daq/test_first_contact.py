@@ -1,0 +1,128 @@
+"""First contact with a node that was powered before the host opened its bus.
+
+Its start message was not acknowledged until then (ISO 11898-1: it is repeated), so it is the node's first frame. The
+set-up comes after it, and nothing is lost. The same message later is a restart.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from daq.clock import NEWEST_RULES
+from daq.drivers.can_lines import open_bus
+from daq.drivers.canopen import cia301
+from daq.drivers.cia402 import wire as cia402
+from daq.errors import DeviceError
+from daq.items import RX, TX, Batch, DeviceEvent
+from tests.daq import (
+    test_cia402_limits as drive,
+    test_cia406 as encoders,
+    test_microstrain as radio,
+    test_vesc_can as vesc,
+)
+from tests.daq.test_drive_setup import MappedDrive
+
+OPENING = open_bus(500_000)
+MS = 1_000_000
+NODE = drive.NODE
+BEFORE = 9  # rules of earlier logs
+
+
+class JustPowered(MappedDrive):
+    """A drive whose boot-up message waits until an adapter acknowledges it."""
+
+    waits = True
+
+    def hear(self, data: bytes) -> None:
+        if self.waits and b"O\r" in data:
+            self.waits = False
+            self.shows(cia301.Heartbeat.BOOT_UP)
+        super().hear(data)
+
+
+def test_the_first_session_after_a_drive_was_powered_commands_it() -> None:
+    far = JustPowered({})
+    try:
+        far.host.start()
+        far.reports()
+        assert far.host.state == cia402.SWITCH_ON_DISABLED
+        far.host.enable()
+        assert far.host.enabled
+    finally:
+        far.host.stop()
+
+
+def test_a_drive_that_starts_again_after_its_set_up_is_not_commanded() -> None:
+    far = JustPowered({})
+    far.host.start()
+    far.shows(cia301.Heartbeat.BOOT_UP)
+    with pytest.raises(DeviceError, match="started again"):
+        far.host.enable()
+    far.host.stop()
+
+
+def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
+    return [item.kind for item in items if isinstance(item, DeviceEvent)]
+
+
+BOOT_UP = drive.beat(0)
+SDO_ANSWER = drive.line(cia301.cob_sdo_answer(NODE), bytes.fromhex("60 16 10 01 00 00 00 00"))
+OVER = drive.line(cia301.cob_emergency(NODE), bytes(8))
+
+
+@pytest.mark.parametrize("heard", [SDO_ANSWER, drive.report(), drive.beat(0x7F)])
+def test_a_boot_up_is_a_restart_once_the_drive_was_heard(heard: bytes) -> None:
+    pipeline = drive.joined()
+    pipeline.feed(TX, OPENING, 0)
+    first = pipeline.feed(RX, OVER + BOOT_UP + BOOT_UP, MS)
+    assert kinds(first) == ["emergency", "network", "network"], "an emergency may be as old as the boot-up"
+    assert all(event.facts.get("operational") is not False for event in drive.events(first)), "nothing is stopped"
+    pipeline.feed(RX, heard, 2 * MS)
+    assert kinds(pipeline.feed(RX, BOOT_UP, 3 * MS)) == ["restart"]
+    pipeline.feed(TX, OPENING, 4 * MS)
+    assert kinds(pipeline.feed(RX, BOOT_UP, 5 * MS)) == ["network"], "the set-up is done again after the opening"
+
+
+def test_a_boot_up_in_a_log_without_the_opening_is_a_restart() -> None:
+    assert kinds(drive.joined().feed(RX, BOOT_UP, MS)) == ["restart"]
+
+
+def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
+    for rules, samples in ((NEWEST_RULES, 1), (BEFORE, 0)):
+        line = encoders.Line(rules)
+        line.at(0, TX, OPENING)
+        line.at(0, RX, b"".join(f"t{0x700 + node:03X}100\r".encode() for node in (3, 4, 5)))
+        line.all_answer()
+        line.all_answer()
+        assert (sum(len(batch.time_ns) for batch in line.batches()) > 0) == bool(samples)
+        assert bool(line.pipeline.complaint) == (not samples)
+        assert line.events("network" if samples else "restart")
+    line = encoders.Line()
+    line.all_answer()
+    line.at(0, RX, b"t703100\r")
+    assert len(line.events("restart")) == 1
+    assert "its set-up is gone" in line.pipeline.complaint
+
+
+@pytest.mark.parametrize("heard", [vesc.ANSWER, vesc.STATUS])
+def test_the_start_message_of_a_vesc_is_a_restart_once_it_was_heard(heard: bytes) -> None:
+    boot = vesc.text(vesc.extended(0x3917, "36305F4D4B35"))
+    for rules, first in ((NEWEST_RULES, "network"), (BEFORE, "restart")):
+        pipeline = vesc.can_pipeline("drive", vesc.controller(), rules)
+        pipeline.feed(TX, OPENING, 0)
+        assert kinds(pipeline.feed(RX, boot, MS)) == [first]
+        pipeline.feed(RX, heard, 2 * MS)
+        assert kinds(pipeline.feed(RX, boot, 3 * MS)) == ["restart"]
+
+
+def switched_on_then_sampling(rules: int) -> list[str]:
+    """Kinds of events of a radio node that reports its start before its first sample, and once more after it."""
+    line, start = radio.pipeline({"clock_rules": rules}), radio.packet(0x18, bytes(17))
+    data = [start, radio.sweeps(0, [(1, 1)]), start]
+    found = [item for n, each in enumerate(data) for item in line.feed(RX, each, n * MS)]
+    return [kind for kind in kinds(found) if kind in ("status", "restart")]
+
+
+def test_a_radio_node_that_was_switched_on_before_its_first_sample_has_not_started_again() -> None:
+    assert switched_on_then_sampling(NEWEST_RULES) == ["status", "restart"]
+    assert switched_on_then_sampling(BEFORE) == ["restart", "restart"]
