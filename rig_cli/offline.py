@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import WHOLE_LOG, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, overridden
@@ -33,14 +33,17 @@ def identify(
         Parameter(help=SETTING_HELP),
     ] = "balanced",
     without: Annotated[list[str] | None, Parameter(help=WITHOUT_HELP, negative="")] = None,
+    span: LogSpan = WHOLE_LOG,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.
 
-    Masses, lengths and calibration are those of the rig file in the logs. Logs of different rigs are refused.
+    Masses, lengths and calibration are those of the rig file in the logs. Logs of different rigs are refused. With
+    --from and --to the fits take the same part of each log.
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
+    from daq.log.time_span import TimeSpan
     from identification import identify as find
     from identification.joint.limits import limits
     from rig_cli import results  # scipy and numba take seconds to import
@@ -51,9 +54,10 @@ def identify(
     check_outputs("rig identify: -o", output)
     held = _held_back(without or [])
     loaded = rig_of_logs(logs, RigUse("rig identify"), rig, settings=settings or [])
-    runs = load_runs(logs)
+    part = TimeSpan(span.from_s, span.to_s)
+    runs = load_runs(logs, part)
     found = find(runs, loaded, STDERR.print, setting=setting, without=held)
-    parameters = results.with_version(found.parameters, settings or [])
+    parameters = results.with_version(found.parameters, settings or [], part)
     parameters.save(output)
     limited = limits(found) or []
     if json:
