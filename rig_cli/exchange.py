@@ -9,29 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show
-from rig_cli.options import Json, Settings
+from rig_cli.options import WHOLE_LOG, Json, LogSpan, Settings
 from rig_cli.share_progress import share_progress
 
 if TYPE_CHECKING:
     from daq.exchange.export import Exported
     from daq.exchange.import_recording import Imported
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class ExportSpan:
-    """Part of a log that is exported.
-
-    Attributes:
-        from_s: first instant, seconds since the log's start
-        to_s: end, seconds since the log's start
-    """
-
-    from_s: Annotated[float | None, Parameter(name="--from")] = None
-    to_s: Annotated[float | None, Parameter(name="--to")] = None
-
-
-_WHOLE_LOG = ExportSpan()
 
 
 def export(
@@ -40,7 +23,7 @@ def export(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     format: Literal["parquet", "csv", "mat", "hdf5"] | None = None,
     channels: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
-    span: ExportSpan = _WHOLE_LOG,
+    span: LogSpan = WHOLE_LOG,
     signals: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
@@ -141,6 +124,9 @@ class ImportFacts:
         clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined
             by GPS; default: the rig file's clock_tolerance_ppm, or 50
         recorder: name of the recorder; files of one recorder share its clock's error, and so do files without a name
+        decimal: decimal sign of a text file, . or , if it cannot be found; the other one separates thousands
+        from_s: beginning of the part that is imported, in the recording's time, s
+        to_s: its end, s
     """
 
     test: str = ""
@@ -152,6 +138,9 @@ class ImportFacts:
     invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     clock_tolerance_ppm: float | None = None
     recorder: str = ""
+    decimal: Literal[".", ","] | None = None
+    from_s: Annotated[float | None, Parameter(name="--from", allow_leading_hyphen=True)] = None
+    to_s: Annotated[float | None, Parameter(name="--to", allow_leading_hyphen=True)] = None
 
 
 _NO_COLUMNS, _NO_FACTS = ImportColumns(), ImportFacts()

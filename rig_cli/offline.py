@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import WHOLE_LOG, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
-from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
+from rig_configs import IdentifiedParameters, RigFileError, overridden
 
 if TYPE_CHECKING:
     from analysis.validation import Validation
@@ -26,17 +26,24 @@ _MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 
 def identify(
     *logs: Path,
-    rig: str = "virtual",
+    rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
     output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
     setting: Annotated[
         Literal["fast", "balanced", "reference"],
         Parameter(help=SETTING_HELP),
     ] = "balanced",
     without: Annotated[list[str] | None, Parameter(help=WITHOUT_HELP, negative="")] = None,
+    span: LogSpan = WHOLE_LOG,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
+    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.
+
+    Masses, lengths and calibration are those of the rig file in the logs. Logs of different rigs are refused. With
+    --from and --to the fits take the same part of each log.
+    """
+    from daq.log.rig_of_logs import RigUse, rig_of_logs
+    from daq.log.time_span import TimeSpan
     from identification import identify as find
     from identification.joint.limits import limits
     from rig_cli import results  # scipy and numba take seconds to import
@@ -46,10 +53,11 @@ def identify(
     _need(logs, "rig identify LOG…")
     check_outputs("rig identify: -o", output)
     held = _held_back(without or [])
-    loaded = load_rig(rig, settings=settings or [])
-    runs = load_runs(logs)
+    loaded = rig_of_logs(logs, RigUse("rig identify"), rig, settings=settings or [])
+    part = TimeSpan(span.from_s, span.to_s)
+    runs = load_runs(logs, part)
     found = find(runs, loaded, STDERR.print, setting=setting, without=held)
-    parameters = results.with_version(found.parameters, settings or [])
+    parameters = results.with_version(found.parameters, settings or [], part)
     parameters.save(output)
     limited = limits(found) or []
     if json:
@@ -130,6 +138,7 @@ def validate(
 
     With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
+    from daq.log.rig_of_logs import RigUse, rig_of_logs
     from studies.runs import load_runs
     from studies.validated_runs import keep_verdicts, validated
 
@@ -139,7 +148,8 @@ def validate(
     identified = IdentifiedParameters.load(parameters)
     changed = overridden(identified, settings or [])
     known = identified.without(changed)
-    loaded = load_rig(rig, identified, settings or [])
+    use = RigUse.relying_on_estimates("rig validate", identified)
+    loaded = rig_of_logs(logs, use, rig, identified, settings or [])
     angle = axis.checked()
     what_if = list(settings or [])
     if angle is not None and known.axis_angle_deg is not None:

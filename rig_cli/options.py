@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,23 @@ Settings = Annotated[
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="one JSON object on standard output")]
 ParametersPath = Annotated[Path | None, Parameter(name="--parameters", help="parameters.toml over the rig file")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LogSpan:
+    """Part of a log.
+
+    Attributes:
+        from_s: first instant, seconds since the log's start
+        to_s: end, seconds since the log's start
+    """
+
+    from_s: Annotated[float | None, Parameter(name="--from")] = None
+    to_s: Annotated[float | None, Parameter(name="--to")] = None
+
+
+WHOLE_LOG = LogSpan()
 
 
 def load_rig_or_log(source: str, settings: Sequence[str]) -> tuple[Rig, dict[str, Any]]:

@@ -21,7 +21,7 @@ def plan(
     *,
     want: Annotated[list[str] | None, Parameter(help="NAME=VALUE: zeta1=1%, k1=5N/m; again for more")] = None,
     parameters: ParametersPath = None,
-    log: Annotated[list[Path] | None, Parameter(help="a log of this rig, to measure its sensors' noise in")] = None,
+    log: Annotated[list[Path] | None, Parameter(help="a log of these sensors, to measure their noise in")] = None,
     mass_std: Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")] = "0%",
     settings: Settings = None,
     json: Json = False,
@@ -44,8 +44,10 @@ def plan(
     warn_of_filled(known, loaded, settings)
     sensors = SensorProperties.of(loaded)
     if log:
+        from daq.log.rig_of_logs import RigUse, rig_of_logs
         from daq.signals.run import load_run
 
+        rig_of_logs(log, RigUse("rig plan --log", facts=False), rig, settings=settings or [])
         sensors = sensors.as_in([load_run(path) for path in log])
     found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))
     if json:

@@ -14,7 +14,7 @@ from analysis.figures.kinds import KINDS, FigureKind
 from analysis.rig_model import RigModel
 from daq.guided_test_kinds import point_of
 from daq.log import open_log
-from daq.log.snapshot import rig_of
+from daq.log.rig_of_logs import RigUse, rig_of_logs
 from daq.signals.run import Run, load_run
 from rig_cli.console import STDERR
 from rig_cli.options import warn_of_filled
@@ -69,11 +69,9 @@ class _Model:
     known: IdentifiedParameters | None
     settings: Sequence[str]
 
-    def of(self, log: Path) -> RigModel:
-        """Return the model of a log's rig."""
-        with open_log(log) as opened:
-            rig = rig_of(opened, self.settings)
-        return self.with_rig(rig)
+    def of(self, kind: str, logs: Sequence[Path]) -> RigModel:
+        """Return the model of the logs' rig."""
+        return self.with_rig(rig_of_logs(logs, RigUse(f"rig plot {kind}"), settings=self.settings))
 
     def with_rig(self, rig: Rig) -> RigModel:
         if self.known is None:
@@ -129,7 +127,7 @@ def _stem(log: Path) -> str:
 
 def _run(kind: FigureKind, log: Path, over: Path | None, source: _Model) -> Drawn:
     run = load_run(log)
-    model = source.of(log)
+    model = source.of(kind.name, [log])
     other = None if over is None else load_run(over)
     figure = kind.draw(run, model, other)
     return figure, _facts(kind.name, [log], model.name, run)
@@ -158,7 +156,7 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.stability_map import MapPoint, draw_points_on_map
     from analysis.steady_state import measure
 
-    model, points, warnings = source.of(logs[0]), list[MapPoint](), list[str]()
+    model, points, warnings = source.of("map", logs), list[MapPoint](), list[str]()
     for log in logs:
         run = load_run(log)
         try:
@@ -175,14 +173,14 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
 def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.slip import draw_slip
 
-    model = source.of(logs[0])
+    model = source.of("slip", logs)
     return draw_slip([load_run(log) for log in logs], model), _facts("slip", logs, model.name)
 
 
 def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.multipliers import draw_multipliers, speed_point
 
-    model = source.of(logs[0])
+    model = source.of("multipliers", logs)
     points = [speed_point(load_run(log)) for log in logs]
     return draw_multipliers(points, model), _facts("multipliers", logs, model.name)
 
@@ -193,7 +191,7 @@ def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
     from rig_cli.report_forms import report_identification
 
     runs = [load_run(log) for log in logs]
-    found = report_identification(identify(runs, source.of(logs[0]).rig, STDERR.print))
+    found = report_identification(identify(runs, source.of("residuals", logs).rig, STDERR.print))
     facts = _facts("residuals", logs, "fitted")
     return draw_residuals(found.fits), {**facts, "warnings": list(found.warnings)}
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, status_line
 from rig_cli.options import Json, ParametersPath, check_outputs
-from rig_configs import IdentifiedParameters, RigFileError, load_rig
+from rig_configs import IdentifiedParameters, RigFileError
 
 if TYPE_CHECKING:
     from daq.signals.run import Run
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def report(
     *places: Path,
-    rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own")] = None,
+    rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
     parameters: ParametersPath = None,
     since: Annotated[Path | None, Parameter(help="an earlier parameters.toml: what changed since then")] = None,
     output: Annotated[
@@ -39,6 +39,7 @@ def report(
         places: folders of a campaign, and logs.
     """
     from daq.guided_test_kinds import point_of
+    from daq.log.rig_of_logs import RigUse, rig_of_logs
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
     from studies.runs import load_runs
@@ -48,9 +49,10 @@ def report(
     page = _page(output, places, force)
     earlier = None if since is None else (since.name, IdentifiedParameters.load(since))
     given = None if parameters is None else IdentifiedParameters.load(parameters)
+    use = RigUse("rig report") if given is None else RigUse.relying_on_estimates("rig report", given)
     with status_line(f"reading {len(logs)} logs") as notify_status:
         runs = sorted(load_runs(logs), key=lambda run: run.start_s)
-        loaded = _rig(rig, runs)
+        loaded = rig_of_logs(logs, use, rig)
         points = [run for run in runs if point_of(run.test)]
         before, joint = _identified(runs, points, loaded, given, notify_status)
         validation = validated(runs, loaded, before, notify_status) if points else None
@@ -98,17 +100,6 @@ def _page(output: Path | None, places: Sequence[Path], force: bool) -> Path:
         if taken.exists() and not force:
             raise RigFileError(f"rig report: {taken} exists; give --force to replace it, or another -o")
     return page
-
-
-def _rig(name: str | None, runs: Sequence[Run]) -> Rig:
-    """Return the given rig file, or the one in the newest log."""
-    from daq.log import open_log  # numba takes a third of a second to import
-    from daq.log.snapshot import rig_of
-
-    if name is not None:
-        return load_rig(name)
-    with open_log(runs[-1].source) as log:
-        return rig_of(log)
 
 
 def _identified(

@@ -6,14 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from daq.log.time_span import TimeSpan
 from daq.version import software_version
 from identification import Identification
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 
 
-def with_version(parameters: IdentifiedParameters, settings: Sequence[str] = ()) -> IdentifiedParameters:
-    """Return the parameters with the software's version and the `--set` texts in their provenance."""
-    given = {"settings": list(settings)} if settings else {}
+def with_version(
+    parameters: IdentifiedParameters, settings: Sequence[str] = (), part: TimeSpan | None = None
+) -> IdentifiedParameters:
+    """Return the parameters with the software's version, the `--set` texts and the part of the logs in their facts."""
+    given: dict[str, Any] = {"settings": list(settings)} if settings else {}
+    if part is not None and not part.is_whole:
+        given["part_of_each_log"] = str(part)
     return replace(parameters, provenance={"software": software_version(), **given, **parameters.provenance})
 
 

@@ -68,7 +68,7 @@ def campaigns(
 @app.command
 def archive(
     *folders: Path,
-    rig: str = "virtual",
+    rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
     out: Out = Path("out/archive"),
     scheduler: Scheduler = None,
     settings: Settings = None,
@@ -83,9 +83,9 @@ def archive(
         if not each.is_dir():
             raise RigFileError(f"{each}: expected a folder of logs")
     found = campaigns_in(folders)
-    source, text = rig_text(rig)
+    given = None if rig is None else rig_text(rig)
     with share_progress(f"digests of {sum(len(one.logs) for one in found)} logs") as progress:
-        study = archive_study(source, text, settings or [], found, progress)
+        study = archive_study(given, settings or [], found, progress)
     rows = Reidentified.all_of(worked_out(study, _made(out) / "tiles", scheduler, "campaigns"))
     written = [_written(row, out) for row in rows]
     result = {"rig": rig, "settings": list(settings or []), "campaigns": written}

@@ -12,7 +12,7 @@ from rig_cli.console import notify, print_json
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled
 from rig_cli.setting_costs import TRACKING_HELP
 from rig_cli.share_progress import share_progress
-from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden, with_parameters
+from rig_configs import PARAMETER_UNITS, IdentifiedParameters, RigFileError
 
 if TYPE_CHECKING:
     from rig_cli.track_files import TrackFiles
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def track(
     *logs: Path,
-    rig: Annotated[str | None, Parameter(help="a rig file instead of the log's own, with the same sensors")] = None,
+    rig: Annotated[str | None, Parameter(help="a rig file instead of the log's own, of the same rig")] = None,
     parameters: ParametersPath = None,
     setting: Annotated[Literal["fast", "reference"], Parameter(help=TRACKING_HELP)] = "fast",
     output: Annotated[
@@ -43,6 +43,7 @@ def track(
     start values of c3 and c4 are those of --parameters, or of the rig file, and may be wrong by a factor of ten. A bow
     in --parameters acts on the motion.
     """
+    from daq.log.rig_of_logs import RigUse, rig_of_logs
     from rig_cli.track_page import print_tracking, tracking_json  # numba takes seconds to import
 
     if not logs:
@@ -50,10 +51,13 @@ def track(
     if not 1.0 <= every_ms <= 1000.0:
         raise RigFileError(f"rig track: --every-ms {every_ms:g}: expected 1 to 1000 ms")
     known = None if parameters is None else IdentifiedParameters.load(parameters)
+    estimates = frozenset(PARAMETER_UNITS) - {"c3_Nms_per_rad", "c4_Nms_per_rad"} - set(known.values if known else ())
+    use = RigUse("rig track", estimates=estimates)
     wanted = _places(logs, output, force)
     found: list[Tracking] = []
     for log, place in zip(logs, wanted, strict=True):
-        loaded = _rig_for(log, rig, known, settings or [])
+        loaded = rig_of_logs([log], use, rig, known, settings or [])
+        warn_of_filled(known, loaded, settings)
         found.append(_tracked(log, loaded, parameters, setting, every_ms, settings or [], place, force))
     if json:
         print_json({"setting": setting, "what_if": list(settings or []), "logs": [tracking_json(f) for f in found]})
@@ -80,51 +84,6 @@ def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Trac
             "track them one by one"
         )
     return found
-
-
-def _rig_for(log: Path, rig: str | None, known: IdentifiedParameters | None, settings: Sequence[str]) -> Rig:
-    """Return the log's own rig, or the given rig file, with parameters and settings applied.
-
-    Raises:
-        RigFileError: the file's sensors differ from those of the recording.
-        LogError: the log has no rig file.
-    """
-    from daq.log import open_log  # numba takes a third of a second to import
-    from daq.log.snapshot import rig_of
-
-    with open_log(log) as opened:
-        own = rig_of(opened)
-        chosen = load_rig(rig, known, settings) if rig else rig_of(opened, settings)
-    if rig is None and known is not None:
-        chosen = with_parameters(chosen, known.without(overridden(known, settings)))
-    warn_of_filled(known, chosen, settings)
-    _check_sensors(log, own, chosen, rig)
-    return chosen
-
-
-def _check_sensors(log: Path, own: Rig, given: Rig, name: str | None) -> None:
-    """Raise `RigFileError` if the sensors of a rig file differ from those with which the log was decoded."""
-    a, b = own.roles, given.roles
-    facts = {
-        "encoders of so many counts per revolution": (
-            a.angles and a.angles.counts_per_revolution,
-            b.angles and b.angles.counts_per_revolution,
-        ),
-        "an index mark at the angle (index_angle_deg)": (
-            a.phase and a.phase.index_angle_deg,
-            b.phase and b.phase.index_angle_deg,
-        ),
-    }
-    for what, (expected, got) in facts.items():
-        if expected != got:
-            raise RigFileError(
-                f"rig track: --rig {name}: expected {what} as {log.name} was recorded with: {_or_none(expected)}, got "
-                f"{_or_none(got)}; leave --rig out to use the log's own rig file, or give the file of that rig"
-            )
-
-
-def _or_none(value: object) -> str:
-    return "no such sensor" if value is None else f"{value}"
 
 
 def _tracked(

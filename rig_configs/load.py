@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, cast, get_args, get_origin
@@ -120,6 +120,11 @@ def set_by(settings: Sequence[str]) -> set[str]:
         for name, places in _SETTINGS_OF.items()
         if any(place == key or place.startswith(f"{key}.") for place in places for key in keys)
     }
+
+
+def replaced_by(names: Iterable[str]) -> set[str]:
+    """Return the keys of the rig file whose values identified parameters of these names replace."""
+    return {_PLACES.get(name, "imbalance.radius_m") for name in names}
 
 
 def with_truth(rig: Rig, key: str, value: Any) -> Rig:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from daq.errors import LogError, RecordingError
+from daq.log.rig_of_logs import RigText, RigUse, rig_of_logs
 from daq.log.verdicts import digest_of
 from identification import IdentificationError, identify
-from rig_configs import IdentifiedParameters
-from rig_configs.load import rig_from_text
+from rig_configs import IdentifiedParameters, RigFileError
 from studies.errors import StudyInputError
 from studies.runs import load_runs
 from studies.study import Answer, Study
@@ -56,8 +56,7 @@ def campaigns_in(archives: Sequence[Path]) -> list[ArchivedCampaign]:
 
 
 def archive_study(
-    rig_source: str,
-    rig_text: str,
+    rig: RigText | None,
     settings: Sequence[str],
     campaigns: Sequence[ArchivedCampaign],
     progress: Callable[[float], None] | None = None,
@@ -65,9 +64,8 @@ def archive_study(
     """Return the study that identifies campaigns again. Every log is read for its digest.
 
     Args:
-        rig_source: name of the rig file, for messages.
-        rig_text: its text.
-        settings: "key=value" settings applied to it.
+        rig: a rig file's name and text; None: each campaign's own rig.
+        settings: "key=value" settings applied to the rig.
         campaigns: campaigns of the archives.
         progress: called with the share of the logs that has been read, 0 … 1.
     Raises:
@@ -82,7 +80,7 @@ def archive_study(
             if progress is not None:
                 progress(done / total)
         rows.append({"name": one.name, "logs": digests})
-    return Study.of("archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": rows})
+    return Study.of("archive", {"rig": rig, "settings": list(settings), "campaigns": rows})
 
 
 @lru_cache(maxsize=4)
@@ -115,7 +113,7 @@ class Archive:
         """Identify one campaign; see Kind."""
         question = _question(text)
         name, logs = question["campaigns"][tile]["name"], question["campaigns"][tile]["logs"]
-        rig = rig_from_text(question["source"], question["rig"], None, question["settings"])
+        given, settings = question["rig"], question["settings"]
         try:
             runs = load_runs(list(logs))
             for run in runs:
@@ -124,8 +122,9 @@ class Archive:
                         f"{run.source}: expected the log with {logs[run.source]}, found "
                         f"{run.metadata['digest']}; give all hosts access to the same archive"
                     )
+            rig = rig_of_logs(list(logs), RigUse(name), None if given is None else tuple(given), settings=settings)
             found = identify(runs, rig)
-        except (IdentificationError, LogError, RecordingError) as fault:
+        except (IdentificationError, LogError, RecordingError, RigFileError) as fault:
             return {"name": np.array(name), "error": np.array(f"{type(fault).__name__}: {fault}")}
         return {
             "name": np.array(name),

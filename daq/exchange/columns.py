@@ -15,6 +15,7 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.unit_words import name_and_unit
 
 _NAMES_SHOWN = 40
+_NAMES_COMPARED = 1000  # each comparison takes some 30 µs
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class ColumnFile(Protocol):
     """An open file of columns."""
 
     path: Path
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Parts of the file that were left out when columns were read, as sentences."""
+        ...
 
     @property
     def others(self) -> Mapping[str, str]:
@@ -94,7 +100,7 @@ def pick(recording: ColumnFile, wanted: str, field: str) -> str:
     without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
     if len(without_unit) == 1:
         return without_unit[0]
-    near = difflib.get_close_matches(wanted, names, 1, 0.4)
+    near = difflib.get_close_matches(wanted, names[:_NAMES_COMPARED], 1, 0.4)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")
     shown = shown or "(the file has none)"

@@ -15,7 +15,9 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
 
 _SAMPLE_LINES = 400
+_FEWEST_SAMPLE_LINES = 8  # names, units, and numbers in the second half
 LONGEST_LINE = 1_000_000
+_LONGEST_SAMPLE = 2 * LONGEST_LINE  # characters, each of which is read once for each dialect
 _COMMENTS = ("#", "%", "//", "!")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -36,6 +38,14 @@ _DIALECTS = (
     (None, ","),
 )
 _SPLIT_WRONGLY = re.compile(r"[0-9][^A-Za-z]*[;|\t^&~][^A-Za-z]*[0-9]")  # two numbers and a delimiter between them
+_GROUPED = {  # a number that may be grouped by thousands: 2,995 or 1,234,567; no group begins with 0
+    sign: re.compile(rf"[+-]?[1-9][0-9]{{0,2}}(?:{re.escape(sign)}[0-9]{{3}})+") for sign in ",."
+}
+_WHOLE_GROUP = re.compile(r"[+-]?[0-9]{1,3}")  # a number that has no separator of thousands
+_GROUPED_FRACTION = {
+    ".": re.compile(r"[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?"),
+    ",": re.compile(r"[+-]?[1-9][0-9]{0,2}(?:\.[0-9]{3})+(?:,[0-9]+)?"),
+}
 _NO_NUMBER = frozenset(("nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"))
 
 
@@ -50,6 +60,7 @@ class Dialect:
         names: names of the columns; "1", "2" … if the file has none.
         first_line: first line of numbers, counted from 1.
         units: units by column name, words of daq.exchange.units, if the file contains them.
+        stated: whether the decimal sign was stated, so that the other sign separates thousands.
     """
 
     encoding: str
@@ -58,6 +69,7 @@ class Dialect:
     names: tuple[str, ...]
     first_line: int
     units: Mapping[str, str] = field(default_factory=dict[str, str])
+    stated: bool = False
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line, without surrounding blanks and quotes."""
@@ -77,6 +89,8 @@ class Dialect:
         """
         if "_" in cell:
             raise ValueError(cell)  # Python accepts 1_000, other programs do not
+        if self.stated and _GROUPED_FRACTION[self.decimal].fullmatch(cell):
+            cell = cell.replace("." if self.decimal == "," else ",", "")
         if self.decimal == ",":
             if "." in cell:
                 raise ValueError(cell)
@@ -91,6 +105,41 @@ class Dialect:
             if cell.lower() in _NO_NUMBER:
                 return math.nan
             raise
+
+
+class DecimalEvidence:
+    """Evidence on whether the decimal sign of a file may be a separator of thousands.
+
+    Numbers such as 0,985 and 12,5 show a decimal sign. 2,995 does not, if every other number with the sign has groups
+    of three digits as well and every number without it has at most three digits: then it may be two thousand nine
+    hundred and ninety-five. A point is taken for a separator of thousands only if a column has numbers with and
+    without it, because programs write all values of a column with the same number of decimals.
+    """
+
+    def __init__(self, dialect: Dialect) -> None:
+        self._sign = dialect.decimal
+        self._grouped = _GROUPED[dialect.decimal]
+        self._without: set[str] = set()
+        self._with: dict[str, tuple[int, str]] = {}
+        self.is_shown = dialect.stated or dialect.delimiter == ","
+
+    def add(self, column: str, cells: Sequence[str], lines: Sequence[int]) -> None:
+        """Add cells of a column with their lines; texts that are not numbers are passed over."""
+        for cell, line in zip(cells, lines, strict=True):
+            if self._sign in cell:
+                self.is_shown = self.is_shown or not self._grouped.fullmatch(cell)
+                self._with.setdefault(column, (line, cell))
+            elif _WHOLE_GROUP.fullmatch(cell):
+                self._without.add(column)
+            else:
+                self.is_shown = self.is_shown or cell.lstrip("+-").isdecimal()
+            if self.is_shown:
+                return
+
+    def doubt(self) -> tuple[int, str] | None:
+        """Return line and cell of a number whose size is uncertain; None if there is none."""
+        doubtful = self._with if self._sign == "," else {c: at for c, at in self._with.items() if c in self._without}
+        return None if self.is_shown else next(iter(doubtful.values()), None)
 
 
 def is_comment(line: str) -> bool:
@@ -110,24 +159,21 @@ def need_end(line: str, path: Path, number: int) -> None:
         )
 
 
-def sniff(path: Path) -> Dialect:
+def sniff(path: Path, decimal: str | None = None) -> Dialect:
     """Determine the dialect of a file from its first lines.
 
+    Args:
+        decimal: the decimal sign, "." or ","; None: it is found.
     Raises:
         ExchangeError: the file is not text, or contains no columns of numbers.
     """
     encoding = _encoding(path)
-    with open(path, encoding=encoding, newline=None) as file:
-        lines: list[str] = []
-        for _ in range(_SAMPLE_LINES):
-            line = file.readline(LONGEST_LINE)
-            need_end(line, path, len(lines) + 1)
-            if not line:
-                break
-            lines.append(line.rstrip("\n"))
+    lines = _sample(path, encoding)
     best: tuple[tuple[float, int, int], Dialect] | None = None
-    for order, (delimiter, decimal) in enumerate(_DIALECTS):
-        dialect = Dialect(encoding, delimiter, decimal, (), 1)
+    for order, (delimiter, sign) in enumerate(_DIALECTS):
+        if decimal not in (None, sign):
+            continue
+        dialect = Dialect(encoding, delimiter, sign, (), 1, stated=decimal is not None)
         share, width = _fit(dialect, lines)
         score = (round(share, 2), width, -order)
         if share > 0 and (best is None or score > best[0]):
@@ -135,12 +181,27 @@ def sniff(path: Path) -> Dialect:
     if best is None:
         raise ExchangeError(f"{path}: expected columns of numbers, found none in the first {len(lines)} lines")
     dialect = _with_names(best[1], lines)
-    if dialect.names == ("1", "2") and dialect.delimiter == "," and _could_be_decimal(dialect, lines):
+    is_doubtful = dialect.names == ("1", "2") and dialect.delimiter == "," and not dialect.stated
+    if is_doubtful and _could_be_decimal(dialect, lines):
         raise ExchangeError(
             f"{path}: line {dialect.first_line}: expected to know whether a comma is a decimal comma or a second "
             "column begins there; put a line with the names of the columns, such as t,x, above the numbers"
         )
     return dialect
+
+
+def _sample(path: Path, encoding: str) -> list[str]:
+    """Return the first lines of a file; fewer if they are long."""
+    lines, size = list[str](), 0
+    with open(path, encoding=encoding, errors="replace", newline=None) as file:
+        while len(lines) < _SAMPLE_LINES and (size < _LONGEST_SAMPLE or len(lines) < _FEWEST_SAMPLE_LINES):
+            line = file.readline(LONGEST_LINE)
+            need_end(line, path, len(lines) + 1)
+            if not line:
+                break
+            size += len(line)
+            lines.append(line.rstrip("\n"))
+    return lines
 
 
 def _could_be_decimal(dialect: Dialect, lines: Sequence[str]) -> bool:
@@ -252,6 +313,7 @@ def _heads(
 
 def _distinct(names: Sequence[str]) -> tuple[str, ...]:
     """Return unique names: names that occur twice get the column's number."""
+    times = Counter(names)
     return tuple(
-        name if name and names.count(name) == 1 else f"{name} (column {i})".lstrip() for i, name in enumerate(names, 1)
+        name if name and times[name] == 1 else f"{name} (column {i})".lstrip() for i, name in enumerate(names, 1)
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.exchange.columns import Column
-from daq.exchange.csv_dialect import LONGEST_LINE, Dialect, is_comment, need_end, sniff
+from daq.exchange.csv_dialect import LONGEST_LINE, DecimalEvidence, Dialect, is_comment, need_end, sniff
 from daq.exchange.errors import ExchangeError
 
 _BLOCK_ROWS = 50_000
@@ -20,11 +20,15 @@ _LONGEST_SHOWN = 40
 
 
 class CsvRecording:
-    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows and keeps only the requested columns."""
+    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows and keeps only the requested columns.
 
-    def __init__(self, path: Path) -> None:
+    A last line without a line end was cut while it was written, perhaps within a number: it is left out.
+    """
+
+    def __init__(self, path: Path, decimal: str | None = None) -> None:
         self.path = path
-        self._dialect = sniff(path)
+        self._dialect = sniff(path, decimal)
+        self.remarks: list[str] = []
         self.names: tuple[str, ...] = self._dialect.names
         self.units: Mapping[str, str] = self._dialect.units
         self.others: Mapping[str, str] = {}
@@ -34,23 +38,45 @@ class CsvRecording:
         wanted = {name: self.names.index(name) for name in names}
         parts = {name: _Parts() for name in wanted}
         lines: list[NDArray[np.int64]] = []
-        for numbers, rows in self._blocks():
+        evidence = DecimalEvidence(self._dialect)
+        for numbers, rows in self._blocks(list(wanted.values())):
             lines.append(np.array(numbers, np.int64))
-            for name, index in wanted.items():
-                self._convert(name, [row[index] for row in rows], numbers, parts[name])
+            for position, name in enumerate(wanted):
+                cells = [row[position] for row in rows]
+                if not evidence.is_shown:
+                    evidence.add(name, cells, numbers)
+                self._convert(name, cells, numbers, parts[name])
+        self._refuse_doubt(evidence)
         where = np.concatenate([np.empty(0, np.int64), *lines])
         return {name: Column(name, *part.joined(), where) for name, part in parts.items()}
 
-    def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """Yield line numbers and cells, a block of rows at a time."""
+    def _refuse_doubt(self, evidence: DecimalEvidence) -> None:
+        doubt = evidence.doubt()
+        if doubt is not None:
+            line, cell = doubt
+            sign = {",": "comma", ".": "point"}[self._dialect.decimal]
+            raise ExchangeError(
+                f"{self.path}: line {line}: expected to know whether the {sign} in {cell!r} is the decimal sign or "
+                "separates thousands, and no number of these columns shows it; state the decimal sign, "
+                'decimal = "." or ","'
+            )
+
+    def _blocks(self, wanted: list[int]) -> Iterator[tuple[list[int], list[list[str]]]]:
+        """Yield line numbers and the cells of the wanted columns, a block of rows at a time."""
         dialect, width = self._dialect, len(self.names)
         numbers: list[int] = []
         rows: list[list[str]] = []
-        with open(self.path, encoding=dialect.encoding, newline=None) as file:
+        with open(self.path, encoding=dialect.encoding, errors="replace", newline=None) as file:
             for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), ""), 1):
                 need_end(line, self.path, number)
                 if number < dialect.first_line or is_comment(line):
                     continue
+                if not line.endswith("\n"):
+                    self.remarks = [
+                        f"{self.path}: line {number}, the last one, has no line end: it was cut while it was written, "
+                        "and is left out"
+                    ]
+                    break
                 cells = self._cells(dialect, line, number)
                 if len(cells) != width:
                     raise ExchangeError(
@@ -58,7 +84,7 @@ class CsvRecording:
                         f"got {len(cells)}; is the file cut there?"
                     )
                 numbers.append(number)
-                rows.append(cells)
+                rows.append([cells[index] for index in wanted])
                 if len(rows) >= _BLOCK_ROWS:
                     yield numbers, rows
                     numbers, rows = [], []

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from daq.exchange.csv_files import CsvFiles
 from daq.exchange.errors import ExchangeError
 from daq.exchange.hdf5_file import Hdf5File
@@ -35,6 +33,7 @@ from daq.exchange.tables import (
     signal_tables,
 )
 from daq.log import Log, open_log
+from daq.log.time_span import TimeSpan
 from daq.signals.run import Run, load_run
 
 Format = Literal["parquet", "csv", "mat", "hdf5"]
@@ -61,35 +60,6 @@ class Exported:
     rows: dict[str, int]
     missing: list[str]
     losses: Mapping[str, Mapping[str, int]]
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Requested time window, s since the log's start; None is open."""
-
-    from_s: float | None
-    to_s: float | None
-
-    def __post_init__(self) -> None:
-        for name, value in (("begin", self.from_s), ("end", self.to_s)):
-            if value is not None and not np.isfinite(value):
-                raise ExchangeError(f"{name} of the span, {value}: expected seconds since the log's start")
-        if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
-            raise ExchangeError(f"expected the beginning before the end, got {self.from_s:g} s and {self.to_s:g} s")
-
-    def ns(self, start_ns: int) -> tuple[int | None, int | None]:
-        """Return both ends in ns since 1970."""
-        ends = (None if s is None else start_ns + round(s * 1e9) for s in (self.from_s, self.to_s))
-        return next(ends), next(ends)
-
-    def facts(self, start_ns: int) -> dict[str, Any]:
-        """Return the facts for the provenance; an open end is None."""
-        return {
-            "time_s_counts_from": iso_time(start_ns),
-            "time_s_counts_from_ns": start_ns,
-            "window_from_s": self.from_s,
-            "window_to_s": self.to_s,
-        }
 
 
 def export_log(
@@ -122,7 +92,7 @@ def export_log(
     """
     path, out = Path(path), Path(out)
     chosen = _format(out, format)
-    window = _Window(*span_s)
+    window = TimeSpan(*span_s)
     with open_log(path) as log, Staging(force) as staging:
         job = _Job(log, chosen, out if out.suffix else out.with_suffix(_SUFFIX_OF[chosen]), staging, window)
         rows, facts = job.signals(load_run(path), channels) if signals else job.channels(channels, progress)
@@ -137,7 +107,7 @@ class _Job:
     format: Format
     out: Path
     staging: Staging
-    window: _Window
+    window: TimeSpan
 
     def channels(self, wanted: Sequence[str], progress: Progress | None) -> tuple[dict[str, int], dict[str, Any]]:
         """Export sample channels in slices; return the number of rows by topic, and the provenance."""
@@ -158,7 +128,7 @@ class _Job:
                     writer.append(topic, columns)
                     if progress is not None:
                         progress(min(1.0, sum(rows.values()) / total))
-            facts = {**log_facts(log), **source, **self.window.facts(log.start_ns), "rows": rows}
+            facts = {**log_facts(log), **source, **_window_facts(self.window, log.start_ns), "rows": rows}
             self._finish(writer, layouts, facts)
         return rows, facts
 
@@ -176,7 +146,7 @@ class _Job:
         facts = {
             **log_facts(self.log),
             **source_facts(self.log.path),
-            **self.window.facts(round(run.start_s * 1e9)),
+            **_window_facts(self.window, round(run.start_s * 1e9)),
             "rows": rows,
             "releases": [vars(release) for release in run.releases],
             "angle_step_rad": run.angle_step_rad,
@@ -224,6 +194,16 @@ class _Job:
             for note in notes
             if (from_ns is None or note["time_ns"] >= from_ns) and (to_ns is None or note["time_ns"] < to_ns)
         ]
+
+
+def _window_facts(window: TimeSpan, start_ns: int) -> dict[str, Any]:
+    """Return the facts of a window for the provenance; an open end is None."""
+    return {
+        "time_s_counts_from": iso_time(start_ns),
+        "time_s_counts_from_ns": start_ns,
+        "window_from_s": window.from_s,
+        "window_to_s": window.to_s,
+    }
 
 
 def _format(out: Path, format: str | None) -> Format:

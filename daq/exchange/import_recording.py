@@ -19,12 +19,13 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part, write_log
 from daq.exchange.imported_parts import ImportFindings, gap_events, make_parts, release_events
 from daq.exchange.provenance import file_sha256, iso_time
-from daq.exchange.readings import SensorReadings, since_1970
+from daq.exchange.readings import LEAST_ROWS, SensorReadings, since_1970
 from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.guided_test_kinds import KINDS, kind_of, point_of
+from daq.log.time_span import TimeSpan
 from daq.version import software_version
 from rig_configs.schema import Rig
 
@@ -76,8 +77,9 @@ def import_recording(
         LogError: the log's name is taken or does not end in .mcap.
         RecordingError, OSError: the log cannot be written.
     """
-    recording, noticed = open_recording(Path(path)), ImportFindings(devices=rig.roles.device_of)
-    readings = read_sensors(recording, recipe, rig, noticed.warnings)
+    recording = open_recording(Path(path), recipe.decimal)
+    noticed = ImportFindings(devices=rig.roles.device_of)
+    readings = _cut_out(read_sensors(recording, recipe, rig, noticed.warnings), recipe.span)
     start_ns, is_known = _start(readings, recipe)
     if not is_known:
         noticed.warnings.append(f"no start time: times count from {iso_time(start_ns)}, which is not the real date")
@@ -94,6 +96,27 @@ def import_recording(
     log = write_log(Path(out), parts, events, facts, attachments, summary, progress or (lambda _: None))
     samples = {part.channel.topic: len(part.time_ns) for part in parts}
     return Imported(log, samples, noticed.invalid, noticed.gaps, first, last, noticed.warnings)
+
+
+def _cut_out(readings: Mapping[str, SensorReadings], span: TimeSpan) -> dict[str, SensorReadings]:
+    """Return the readings of a part of the recording, s since its time 0, or since its start if times count from 1970.
+
+    Raises:
+        ExchangeError: a sensor has too few samples in the part.
+    """
+    if span.is_whole:
+        return dict(readings)
+    first = min(int(found.time_ns[0]) for found in readings.values() if len(found.time_ns))
+    last = max(int(found.time_ns[-1]) for found in readings.values() if len(found.time_ns))
+    zero = first if any(since_1970(found.time_ns) for found in readings.values()) else 0
+    part = {name: found.within(*span.closed_ns(zero)) for name, found in readings.items()}
+    for name, found in part.items():
+        if len(found.time_ns) < LEAST_ROWS and name != "marks":
+            raise ExchangeError(
+                f"{name}: expected at least {LEAST_ROWS} samples from {span}, got {len(found.time_ns)}; the recording "
+                f"lasts from {(first - zero) / 1e9:g} s to {(last - zero) / 1e9:g} s"
+            )
+    return {name: found for name, found in part.items() if len(found.time_ns)}
 
 
 def _start(readings: Mapping[str, SensorReadings], recipe: Recipe) -> tuple[int, bool]:

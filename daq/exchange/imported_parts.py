@@ -17,6 +17,7 @@ from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
 from daq.guided_test_kinds import CHANNELS
 from daq.items import DeviceEvent
+from daq.log.time_span import LATEST_NS
 
 _SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
 _MIN_RELEASE_STD_S = 1e-4
@@ -125,7 +126,7 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
     std_s = max([_MIN_RELEASE_STD_S, *(step / math.sqrt(12) for step in steps)])
     found: list[DeviceEvent] = []
     for pendulum, at_s in enumerate(release_s * 2 if len(release_s) == 1 else release_s):
-        time_ns = zero_ns + round(at_s * 1e9)
+        time_ns = zero_ns + round(max(-LATEST_NS, min(at_s * 1e9, LATEST_NS)))
         if not start <= time_ns <= end:
             raise ExchangeError(
                 f"release {at_s:g}: expected a time within the recording, {(start - zero_ns) / 1e9:g} s to "

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +23,9 @@ from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
 
 matlab: Any = io  # scipy has no types
+_MATLAB_CELLS = "#refs#"  # group of the cells of MATLAB's cell arrays, which are no columns
+_MAX_OBJECTS = 10_000  # in an HDF5 file; listing one takes some 0.1 ms
+_MAX_DEPTH = 64  # of groups, as of a MAT file
 _MAX_COLUMNS = 256  # of a matrix; with more it is an image or similar
 _FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32, szip, nbit, scale-offset; h5py's lzf
 
@@ -32,6 +36,7 @@ class MatRecording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.units: Mapping[str, str] = {}
+        self.remarks: Sequence[str] = ()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # scipy warns of skipped variables; they are not among the names
@@ -70,13 +75,14 @@ class Hdf5Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.units: Mapping[str, str] = {}
+        self.remarks: Sequence[str] = ()
         self.others: dict[str, str] = {}
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
-                tree: Any = file
-                tree.visititems_links(self._visit_link)
-                tree.visititems(self._visit)  # follows hard links only, so it stays in this file
+                self._list(file)
+        except ExchangeError:
+            raise
         except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
         self.names: tuple[str, ...] = tuple(self._places)
@@ -101,13 +107,38 @@ class Hdf5Recording:
             raise _unreadable(self.path, fault) from fault
         return columns
 
-    def _visit_link(self, place: str, link: Any) -> None:
-        if not isinstance(link, h5py.HardLink):
-            kind = "soft link, name what it points to" if isinstance(link, h5py.SoftLink) else "link to another file"
-            self.others[place.replace("/", ".")] = f"a {kind}"
+    def _list(self, file: Any) -> None:
+        """List the datasets of all groups. Only hard links are followed, so that the file is not left.
+
+        Raises:
+            ExchangeError: the file has too many objects, or groups are nested too deeply.
+        """
+        groups: deque[tuple[str, Any]] = deque([("", file)])
+        visited: set[Any] = set()  # a group that has several hard links, or contains itself, is listed once
+        objects = 0
+        while groups:
+            within, group = groups.popleft()
+            for name in group:
+                place = f"{within}{name}"
+                objects += 1
+                if objects > _MAX_OBJECTS or place.count("/") > _MAX_DEPTH:
+                    raise ExchangeError(
+                        f"{self.path}: expected columns of numbers, got more than {_MAX_OBJECTS} groups and datasets, "
+                        f"or more than {_MAX_DEPTH} levels of groups; save the columns separately"
+                    )
+                link = group.get(name, getlink=True)
+                if not isinstance(link, h5py.HardLink):
+                    kind = "soft link, name what it points to" if isinstance(link, h5py.SoftLink) else None
+                    self.others[place.replace("/", ".")] = f"a {kind or 'link to another file'}"
+                elif not place.startswith(_MATLAB_CELLS):
+                    item = group[name]
+                    self._visit(place, item)
+                    if isinstance(item, h5py.Group) and item.id not in visited:
+                        visited.add(item.id)
+                        groups.append((f"{place}/", item))
 
     def _visit(self, place: str, item: Any) -> None:
-        if not _is_array(item) or place.startswith("#refs#"):
+        if not _is_array(item):
             return
         name, shape = place.replace("/", "."), item.shape
         if shape is None or item.dtype.kind not in "iuf":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ class ParquetRecording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.units: Mapping[str, str] = {}
+        self.remarks: Sequence[str] = ()
         self.others: Mapping[str, str] = {}
         try:
             self._schema = pq.read_schema(path)

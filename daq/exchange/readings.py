@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from daq.exchange.columns import Column
 from daq.exchange.errors import ExchangeError
 from daq.exchange.units import UNITS, ColumnChoice, Quantity
+from daq.log.time_span import LATEST_NS
 
 LEAST_ROWS = 20
 _SINCE_1970_S = 1e8  # three years: larger times do not count from the recording's own start
-_LATEST_NS = 2**62
 _MIN_RATE_HZ, _MAX_RATE_HZ = 10.0, 1e6  # of samples that can resolve this rig's motion
 _UNIFORM_SHARE, _UNIFORM_STEP = 0.9, 0.1
 
@@ -46,6 +46,12 @@ class SensorReadings:
     row: NDArray[np.intp]
     invalid: int
 
+    def within(self, begin_ns: int, end_ns: int) -> SensorReadings:
+        """Return the readings from a beginning until before an end, ns on their own axis of times."""
+        rows = slice(*np.searchsorted(self.time_ns, [begin_ns, end_ns]).tolist())
+        value = self.value[rows]
+        return SensorReadings(self.time_ns[rows], value, self.row[rows], int(np.count_nonzero(np.isnan(value))))
+
     def shifted(self, start_ns: int) -> SensorReadings:
         """Return the readings with times since 1970.
 
@@ -53,7 +59,7 @@ class SensorReadings:
             ExchangeError: a time is before 1970 or after 2116.
         """
         time_ns = self.time_ns + start_ns
-        if time_ns[0] < 0 or time_ns[-1] > _LATEST_NS:
+        if time_ns[0] < 0 or time_ns[-1] > LATEST_NS:
             raise ExchangeError(
                 f"expected times from 1970 to 2116, got {time_ns[0] / 1e9:g} s to {time_ns[-1] / 1e9:g} s"
             )
@@ -74,7 +80,7 @@ def times_ns(column: Column, choice: ColumnChoice, field: str) -> NDArray[np.int
             f"{len(bad)} of {len(column.values)} rows have no time"
         )
     largest = float(np.max(np.abs(column.values.astype(np.float64)), initial=0.0))
-    if largest * factor > _LATEST_NS:
+    if largest * factor > LATEST_NS:
         raise ExchangeError(
             f"{field} {column.name}: expected times of less than 146 years, got {largest:g} {choice.unit}"
         )

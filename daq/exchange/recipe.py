@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.units import ColumnChoice, Quantity, parse_column
+from daq.log.time_span import LATEST_NS, TimeSpan
 
 QUANTITIES: dict[str, Quantity] = {
     "time": "time",
@@ -46,6 +47,8 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
         invalid: values that mean "no reading", as in the file.
         clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock, ppm; None: from the rig file if
             it is stated there, otherwise 50 ppm.
+        decimal: decimal sign of a text file, "." or ","; the other sign separates thousands. None: it is found.
+        from_s, to_s: begin and end of the part that is imported, in the recording's time as `release_s`, s; None: open.
         recorder: name of the recorder; recordings of one recorder share its clock's error. Recordings without a name
             count as one recorder's.
     """
@@ -69,6 +72,9 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
     invalid: tuple[float, ...] = ()
     clock_tolerance_ppm: Annotated[float, Field(ge=0, le=1e5)] | None = None
     recorder: str = ""
+    decimal: Literal[".", ","] | None = None
+    from_s: Finite | None = None
+    to_s: Finite | None = None
 
     @model_validator(mode="after")
     def _fits_together(self) -> Recipe:
@@ -83,7 +89,7 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
             raise ValueError("expected a column of times or a rate, got both: the times are in the column already")
         if self.point and self.test not in ("", f"point-{self.point}"):
             raise ValueError(f"point {self.point}: expected no test in addition, or point-{self.point}")
-        _ = self.choices, self.start_ns
+        _ = self.choices, self.start_ns, self.span
         return self
 
     @property
@@ -98,6 +104,11 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
         return {name: parse_column(text, QUANTITIES[name], name) for name, text in given.items() if text}
 
     @property
+    def span(self) -> TimeSpan:
+        """Part of the recording that is imported."""
+        return TimeSpan(self.from_s, self.to_s)
+
+    @property
     def start_ns(self) -> int | None:
         """Time 0 of the recording in ns since 1970; None if it is unknown."""
         if self.start is None:
@@ -108,8 +119,8 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
             raise ExchangeError(f"start {self.start}: expected a time like 2026-03-01T10:00:00 ({fault})") from fault
         since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
         nanoseconds = (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
-        if nanoseconds < 0:
-            raise ExchangeError(f"start {self.start}: expected a time after 1970")
+        if not 0 <= nanoseconds < LATEST_NS:
+            raise ExchangeError(f"start {self.start}: expected a time from 1970 to 2116")
         return nanoseconds
 
 

@@ -12,8 +12,12 @@ from daq.exchange.parquet_recording import ParquetRecording
 from rig_configs.regular_file import need_regular
 
 
-def open_recording(path: Path) -> ColumnFile:
+def open_recording(path: Path, decimal: str | None = None) -> ColumnFile:
     """Open a file according to its content and the ending of its name.
+
+    Args:
+        path: the file.
+        decimal: decimal sign of a text file, "." or ","; None: it is found.
 
     Raises:
         ExchangeError: the file does not exist, is empty, or is not csv, parquet, mat or hdf5.
@@ -34,4 +38,4 @@ def open_recording(path: Path) -> ColumnFile:
         return MatRecording(path)
     if path.suffix.lower() in (".parquet", ".h5", ".hdf5"):
         raise ExchangeError(f"{path}: expected {path.suffix.lower()[1:]} as in its name, got another content")
-    return CsvRecording(path)
+    return CsvRecording(path, decimal)

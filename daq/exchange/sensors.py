@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from daq.exchange.readings import SensorReadings, check_rate, check_size, check_
 from daq.exchange.recipe import QUANTITIES, Recipe
 from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice, settle_unit
+from daq.log.time_span import LATEST_NS
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -56,7 +56,8 @@ def read_sensors(recording: ColumnFile, recipe: Recipe, rig: Rig, warnings: list
         warnings += _check(name, readings, choice, column, choice.time or time, rig)
         found[name] = readings
     if marks is not None:
-        found["marks"] = _marks(recipe, marks, columns[mark_name[0]] if mark_name else None)
+        found["marks"] = _marks(recipe, marks, columns[mark_name[0]] if mark_name else None, warnings)
+    warnings += recording.remarks
     return found
 
 
@@ -82,18 +83,24 @@ def _row_times(recipe: Recipe, column: Column, field: str) -> NDArray[np.int64]:
     """Return the times of all rows in ns, from the rate alone."""
     if recipe.rate_Hz is None:
         raise ExchangeError(f"{field}: expected a column of times or a rate in addition, got neither")
+    if len(column.values) * 1e9 >= recipe.rate_Hz * LATEST_NS:
+        raise ExchangeError(
+            f"rate {recipe.rate_Hz:g}: expected samples per second; {len(column.values)} rows would take more than 146 "
+            "years"
+        )
     return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
 
 
-def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> SensorReadings:
+def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None, warnings: list[str]) -> SensorReadings:
     if column is None:
         path = marks_file(recipe)
         assert path is not None
-        recording = open_recording(path)
+        recording = open_recording(path, recipe.decimal)
         if len(recording.names) != 1:
             raise ExchangeError(f"{path}: expected a file of one column of times, got {len(recording.names)} columns")
         choice = settle_unit(choice, recording.units.get(recording.names[0]), "time", "marks")
         column = recording.read([recording.names[0]])[recording.names[0]]
+        warnings += recording.remarks
     rows = np.flatnonzero(~column.absent & ~np.isnan(column.values.astype(np.float64)))
     time_ns = times_ns(column.keep(rows), choice, "marks")
     return SensorReadings(time_ns, np.zeros(len(rows)), rows, 0)
@@ -109,7 +116,8 @@ def _check(
     """
     quantity = QUANTITIES[name]
     lasers = {sensor.axis: 2 * sensor.reach_m for sensor in rig.roles.displacements}
-    limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * RPM}
+    unseen = 2 * rig.limits.amplitude_m  # of a displacement whose sensor is not in the rig file
+    limits = {"x": unseen, "y": unseen, **lasers, "speed": rig.limits.speed_rpm * RPM}
     check_size(readings, choice, quantity, limits.get(name, _MAX_PHASE_RAD), column, name)
     warnings = [check_rate(readings.time_ns, time, name)]
     if quantity == "length":

@@ -34,6 +34,7 @@ _OTHER_WORDS = (
 _OTHERS = frozenset(_OTHER_WORDS.split())
 _NONE = frozenset(("", "-", "--", "1", "[]", "()", "n/a", "none", "."))
 _BRACKETS = re.compile(r"^(?:\[(.*)\]|\((.*)\)|\{(.*)\}|<(.*)>|\"(.*)\"|'(.*)')$")
+_LONGEST_NAME = 1000  # the time to find a unit in a name grows with the square of its length
 _IN_A_NAME = re.compile(
     r"^(?P<name>.*\S)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\)|\s/\s*(?P<c>\S+)|\s+in\s+(?P<d>\S+))$"
 )
@@ -41,6 +42,8 @@ _IN_A_NAME = re.compile(
 
 def _bare(cell: str) -> str:
     """Return a cell without brackets, with one spelling of micro and degree."""
+    if len(cell) > _LONGEST_NAME:
+        return cell
     text = cell.strip().removesuffix(":").strip()
     while found := _BRACKETS.match(text):
         text = next(group for group in found.groups() if group is not None).strip()
@@ -68,7 +71,7 @@ def is_unit_row(cells: Sequence[str]) -> bool:
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
     """Split a column's name from its unit: ``t [s]``, ``x (mm)``, ``n / rpm``; the unit is None if it is missing."""
-    found = _IN_A_NAME.match(cell.strip())
+    found = _IN_A_NAME.match(cell.strip()) if len(cell) <= _LONGEST_NAME else None
     if found is None:
         return cell, None
     unit = unit_word(next(group for group in (found["a"], found["b"], found["c"], found["d"]) if group is not None))

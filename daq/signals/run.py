@@ -21,6 +21,8 @@ from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
 from daq.log.snapshot import identities_of, rig_of
+from daq.log.time_span import TimeSpan
+from daq.signals.possible_displacement import refuse_impossible
 from daq.signals.releases import Release, releases_of
 from daq.signals.run_channels import angle_signal, laser_signal, mark_signal, motor_start, phase_signal
 from daq.signals.run_clocks import (
@@ -37,6 +39,8 @@ from rig_basics.arrays import Array
 from rig_configs.roles import Roles
 
 __all__ = ["Release", "Run", "disagreements", "load_run"]
+
+_WHOLE = TimeSpan()
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class Run:
             recording. Signals with the same clock have the same clock error.
         losses: counted losses by "device.kind"; "log.missing_messages" are messages missing in the file itself.
         metadata: facts of the log (rig, point, software version, digest …); "missing" lists the missing parts of the
-            file, as sentences.
+            file, as sentences; "part" is the part of the log, if it is not the whole.
         phase_time_s, phase_rad: ψ between the marks as well, shape (l,), for recordings that contain it.
         phase_absolute: True if the imbalance points along +x at ψ = 0; False if a speed was integrated, which leaves
             one unknown angle between ψ and the laboratory.
@@ -108,20 +112,28 @@ def disagreements(run: Run) -> list[str]:
     return [found.text for found in run.agreements() if found.verdict == "disagree"]
 
 
-def load_run(path: str | Path) -> Run:
-    """Read one log into signals on the common clock.
+def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
+    """Read one log, or a part of it, into signals on the common clock.
 
+    Args:
+        path: the log.
+        span: the part, s since the log's start.
     Raises:
-        LogError: the file is not a readable log, has no samples or no rig file, or a device restarted in it.
+        LogError: the file is not a readable log, has no samples or no rig file, a device restarted in it, or its
+            displacements are larger than the sensors can measure.
     """
-    with open_log(path) as log:
-        roles = rig_of(log).roles
+    with open_log(path) as whole:
+        log = whole if span.is_whole else whole.between(*span.closed_ns(whole.start_ns))
+        rig = rig_of(log)
+        roles = rig.roles
         _refuse_restarts(log)
         start_s = start_of(log)
         run = log.metadata.get("run", {})
         shared = shared_clock(log, run) if is_stamped_elsewhere(log) else NO_DEVICE
         x, x_line = laser_signal(log, "laser/x", roles.along("x"), start_s, shared)
         y, y_line = laser_signal(log, "laser/y", roles.along("y"), start_s, shared)
+        refuse_impossible(str(path), "x", x[1], roles.along("x"), rig)
+        refuse_impossible(str(path), "y", y[1], roles.along("y"), rig)
         own = [(axis, line) for axis, line in (("x", x_line), ("y", y_line)) if line is not shared]
         lasers = {device_of(roles, axis): line for axis, line in own}
         angle_line, phase_line = rotor_lines(log, roles, start_s, shared, lasers)
@@ -163,6 +175,7 @@ def load_run(path: str | Path) -> Run:
                 "complete": log.complete,
                 "missing": [str(place) for place in log.missing],
                 "not_reached": not_reached_of(log),
+                **({} if span.is_whole else {"part": str(span)}),
             },
         )
 

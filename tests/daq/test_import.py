@@ -88,9 +88,9 @@ def test_texts_of_many_programs(tmp_path: Path, content: str, encoding: str, col
     [("d:mm", 1e-3), ("d:-mm", -1e-3), ("d:um", 1e-6), ("d:0.0015", 1.5e-3), ("d:in", 0.0254), ("2:mm", 1e-3)],
 )
 def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> None:
-    path = text(tmp_path / "a.csv", "t,d\n" + rows(","))
-    run = bring_in(path, time="t:s", x=column)
-    assert np.array_equal(run.x_m, X_MM * factor)
+    lines = "".join(f"{a!r},{b!r}\n" for a, b in zip(T.tolist(), (X_MM / 4).tolist(), strict=True))
+    run = bring_in(text(tmp_path / "a.csv", "t,d\n" + lines), time="t:s", x=column)
+    assert np.array_equal(run.x_m, X_MM / 4 * factor)
 
 
 @pytest.mark.parametrize(

@@ -142,14 +142,14 @@ def test_an_archive_is_identified_campaign_by_campaign(archive: Path, tmp_path: 
 def test_an_archive_with_more_campaigns_goes_on(archive: Path) -> None:
     rig = rig_source("virtual")
     found = campaigns_in([archive])
-    few, all_of_them = (archive_study(rig.source, rig.text, [], part) for part in (found[1:], found))
+    few, all_of_them = (archive_study((rig.source, rig.text), [], part) for part in (found[1:], found))
     assert [few.name_of(0), few.name_of(1)] == [all_of_them.name_of(1), all_of_them.name_of(2)]
     assert len({all_of_them.name_of(tile) for tile in range(3)}) == 3
 
 
 def test_a_log_that_another_host_has_otherwise_is_refused(archive: Path) -> None:
     rig = rig_source("virtual")
-    study = archive_study(rig.source, rig.text, [], [one for one in campaigns_in([archive]) if "spring" in one.name])
+    study = archive_study((rig.source, rig.text), [], [one for one in campaigns_in([archive]) if "spring" in one.name])
     other = Study(study.kind, study.text.replace("sha256:", "sha256:0")[:-1] + "}", study.software)
     from studies.worker import answer_tile
 
