@@ -14,6 +14,7 @@ import io
 import os
 import queue
 import select
+import shutil
 import sys
 import threading
 from typing import TYPE_CHECKING, TextIO
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 _MOST_TEXTS = 20_000  # texts that wait for a held terminal: at 2 kB for a page of a recording, 40 MB
 _FINISH_S = 5.0  # the program waits so long for a held terminal at its end
+_LEAST_WIDTH, _MOST_WIDTH = 20, 1000  # of tables and frames, characters
+_MOST_DIGITS = 9  # digits of COLUMNS that are read
 _RETRY_S = 1.0  # between two attempts on a descriptor that another program made non-blocking
 
 
@@ -117,7 +120,20 @@ def open_streams() -> None:
     sys.stdout = io.TextIOWrapper(results, _encoding(sys.stdout, 1), "replace", line_buffering=at_once)
     messages = MessageStream(2, _encoding(sys.stderr, 2))
     sys.stderr = messages
+    _limit_width()
     atexit.register(messages.finish)
+
+
+def _limit_width() -> None:
+    """Limit the width of tables and frames, which is that of the terminal or `COLUMNS`.
+
+    Their layout takes minutes for a width that does not hold a word with its indentation, and the memory of a line for
+    each row of a frame.
+    """
+    given = os.environ.get("COLUMNS", "")
+    width = int(given[:_MOST_DIGITS]) if given.isdecimal() else shutil.get_terminal_size().columns
+    if given or not _LEAST_WIDTH <= width <= _MOST_WIDTH:
+        os.environ["COLUMNS"] = str(min(max(width, _LEAST_WIDTH), _MOST_WIDTH))
 
 
 def discard_results() -> None:

@@ -113,6 +113,15 @@ def test_a_terminal_that_is_gone_raises_no_error(gone: str) -> None:
         os.close(theirs)
 
 
+@pytest.mark.parametrize("columns", ["0", "1", "²", "9" * 5000])
+def test_no_width_of_the_terminal_takes_long(columns: str) -> None:
+    narrow = f"import os; os.environ['COLUMNS'] = {columns!r}"
+    done = rig(["import", "--help"], "", narrow)
+    assert done.returncode == 0
+    assert "--time" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 1000
+
+
 INTERRUPTED = "import rig_cli.main\ndef commands(*_): raise KeyboardInterrupt\nrig_cli.main.commands = commands\n"
 AT_THE_END = "import atexit, os, signal; atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))\n"
 
