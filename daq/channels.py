@@ -18,6 +18,8 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import ArrayLike, NDArray
 
+from rig_basics.texts import storable
+
 RX, TX = 0, 1
 """Direction of raw bytes: received from the device, transmitted to the device."""
 
@@ -333,7 +335,7 @@ def pack_note(note: Mapping[str, Any]) -> bytes:
     if not isinstance(note.get("kind"), str):
         raise ValueError(f"expected a text under 'kind', got {note!r}")
     plain = {key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in note.items()}
-    return json.dumps(plain, ensure_ascii=False, allow_nan=False, default=_plain_number).encode()
+    return storable(json.dumps(plain, ensure_ascii=False, allow_nan=False, default=_plain_number)).encode()
 
 
 def _plain_number(value: Any) -> Any:

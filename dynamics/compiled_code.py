@@ -1,8 +1,10 @@
 """Directory of the compiled code between runs: one directory for each state of the sources.
 
-numba checks only the file that contains a function, not the functions called by it. After a change in a kernel, cached
-code of its callers would contain the old kernel. All files of a wheel have the same date. Therefore the directory is
-named after a digest of all compiled sources.
+numba checks only the file that contains a function, not the functions called by it nor the numbers that it takes from
+other files. After a change in a kernel or in such a number, cached code of its callers would contain the old one. All
+files of a wheel have the same date. Therefore the directory is named after a digest of all sources that compiled
+functions are made of (`rig_basics.compiled_sources`), of the compiler's versions and of its options. numba itself
+distinguishes processors.
 
 The `rig` command, the tests and the benchmarks set this directory before they compile anything. Importing the packages
 does not set it: a program that uses them keeps its own numba settings and can call `keep_compiled_code`.
@@ -20,15 +22,20 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
+
+from rig_basics.compiled_sources import compiled_sources
 
 _log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_COMPILED = ("dynamics", "identification", "daq/virtual_rig")
+_ROOT = Path(__file__).parents[1]
+_COMPILER = {"numba": "_version.py", "llvmlite": "_version.py", "numpy": "version.py"}  # files with the versions
+_NOT_OPTIONS = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS"}  # variables of the environment without effect on the code
 _MAX_UNUSED_S = 60 * 86400.0  # directories of other versions that were not used for this time are removed, s
 
 
@@ -69,7 +76,7 @@ def compiled(
 def keep_compiled_code() -> Path | None:
     """Set numba's cache directory to the directory of this version, unless NUMBA_CACHE_DIR is set.
 
-    The function must be called before a module with compiled functions is imported. It hashes the sources (20 ms).
+    The function must be called before a module with compiled functions is imported. It hashes the sources (25 ms).
 
     Returns:
         The directory. If the user's cache directory is not writable, this is a temporary directory of this process.
@@ -111,14 +118,22 @@ def load_compiler() -> None:
         linalg.ensure_blas = original
 
 
-def source_digest() -> str:
-    """Sixteen hexadecimal digits that depend on every compiled source."""
+def source_digest(root: Path = _ROOT) -> str:
+    """Return sixteen hexadecimal digits that depend on all that compiled code is made of and on what compiles it.
 
-    root, found = Path(__file__).parents[1], hashlib.sha256(sys.version.encode())
-    for package in _COMPILED:
-        for path in sorted((root / package).rglob("*.py")):
-            found.update(path.relative_to(root).as_posix().encode())
-            found.update(path.read_bytes())
+    Args:
+        root: directory that contains the packages of the project.
+    """
+    found = hashlib.sha256(sys.version.encode())
+    for package, file in _COMPILER.items():
+        spec = PathFinder.find_spec(package)  # imports nothing
+        if spec is not None and spec.origin is not None:
+            found.update(Path(spec.origin).with_name(file).read_bytes())
+    for name in sorted(os.environ):
+        if name.startswith("NUMBA_") and name not in _NOT_OPTIONS:
+            found.update(f"\0{name}={os.environ[name]}".encode(errors="surrogateescape"))
+    for name, text in compiled_sources(root).items():
+        found.update(b"\0%s\0%d\0" % (name.encode(), len(text)) + text)
     return found.hexdigest()[:16]
 
 

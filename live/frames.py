@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import storable
+
 MAGIC = b"RIG1"
 _HEAD = struct.Struct("<4sI")
 _COLUMNS = "columns"
@@ -27,7 +29,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> by
         columns: columns by name, each of shape (n,); converted to float32.
     """
     sizes = {name: len(values) for name, values in columns.items()}
-    text = json.dumps({**header, _COLUMNS: sizes}, ensure_ascii=False, allow_nan=False).encode()
+    text = storable(json.dumps({**header, _COLUMNS: sizes}, ensure_ascii=False, allow_nan=False)).encode()
     text += b" " * (-(_HEAD.size + len(text)) % 4)
     parts = [np.ascontiguousarray(values, "<f4").tobytes() for values in columns.values()]
     return b"".join([_HEAD.pack(MAGIC, len(text)), text, *parts])

@@ -29,6 +29,7 @@ from live.guard import Guard
 from live.picture import Pictures, ViewerView
 from live.source import Facts, PageSource
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import storable
 
 FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
@@ -95,7 +96,7 @@ class _Viewer:
             if self._state_asked or now - state_s >= _STATE_S:
                 self._state_asked, state_s = False, now
                 facts = {**self._pictures.state(), **extra(), "missed": self.missed}
-                await self._socket.send_text(json.dumps(facts, ensure_ascii=False))
+                await self._socket.send_text(storable(json.dumps(facts, ensure_ascii=False)))
                 self.state_sent_s = now
             if self._full():
                 continue

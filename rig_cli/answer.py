@@ -1,6 +1,6 @@
 """The one JSON object that a command with `--json` prints on standard output, for results and for errors.
 
-This module imports only the standard library: it can report that any other module fails to load.
+This module needs only the standard library: it can report that any other module fails to load.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from rig_cli.streams import OutputLost, discard_results
 
 
 @dataclass
@@ -56,12 +58,17 @@ def announce(result: Mapping[str, Any]) -> None:
 def give_error(text: str, code: int) -> None:
     """Print an error object if JSON is requested and no object has been printed.
 
+    If standard output cannot be written, the text on standard error and the exit code are all that remains.
+
     Args:
         text: what was expected, what was found, what to do.
         code: the command's exit code.
     """
     if _answer.wanted and not _answer.given:
-        _print({"error": text, "exit_code": code})
+        try:
+            _print({"error": text, "exit_code": code})
+        except OutputLost:  # usual: the error is that standard output cannot be written
+            discard_results()
 
 
 def note_fault(text: str, code: int) -> None:

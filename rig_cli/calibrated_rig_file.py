@@ -12,6 +12,7 @@ from typing import Any
 
 import tomlkit
 
+from rig_basics.texts import storable
 from rig_configs import RigFileError
 from rig_configs.load import rig_from_text
 from rig_configs.toml_text import read_text
@@ -31,8 +32,7 @@ def write_record(folder: Path, device: str, when: str, record: Mapping[str, Any]
     stamp = when.replace("-", "").replace(":", "")
     path = folder / f"calibration-{device}-{stamp}.json"
     with path.open("x", encoding="utf-8") as file:
-        json.dump(record, file, indent=1, ensure_ascii=False)
-        file.write("\n")
+        file.write(f"{storable(json.dumps(record, indent=1, ensure_ascii=False))}\n")
     return path
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import gc
 import sys
 
+from rig_cli.signals import end_at_next_signal
+from rig_cli.streams import open_streams
+
 _SHORT_COMMANDS = {"predict", "--help", "-h", "--version"}  # commands that end within a second or two
 _RARE_COLLECTION = (100_000, 50, 50)  # loading creates hundreds of thousands of objects and hardly any garbage
 
@@ -13,11 +16,13 @@ def main() -> None:
     """Entry point."""
     if set(sys.argv[1:2]) & _SHORT_COMMANDS:  # long-running commands keep the default, which gives shorter pauses
         gc.set_threshold(*_RARE_COLLECTION)
+    open_streams()
     try:
         from rig_cli.main import main as carry_out  # loading takes a while
 
         carry_out()
     except KeyboardInterrupt:  # usual: reported
+        end_at_next_signal(130)
         from rig_cli import answer  # needed by no command that works
 
         print("rig: interrupted", file=sys.stderr)

@@ -1,18 +1,15 @@
 """The `rig` command: parse, call one verb, print.
 
 Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 70 an unexpected error,
-130 interrupted.
+130 interrupted, 141 the reader of standard output is gone.
 """
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from collections.abc import Collection, Sequence
 from contextlib import nullcontext
-from errno import EDQUOT, EFBIG, ENOSPC
-from io import TextIOWrapper
+from errno import EDQUOT, EFBIG, ENOSPC, EPIPE
 from keyword import iskeyword
 
 from cyclopts import App, CycloptsError
@@ -27,6 +24,8 @@ from rig_cli import answer, crash
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import NUMBERS_ARE_FINITE
+from rig_cli.signals import end_at_next_signal, interrupt_at_signals
+from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
 _VERBS = {  # modules are imported when their verb is called: `rig --help` and `rig predict` start without the drivers
@@ -157,8 +156,21 @@ def _version() -> str:
 
 
 def run(arguments: list[str]) -> int:
-    """Carry out one command and return the exit code."""
+    """Carry out one command and return the exit code, also if what it prints cannot be written."""
     answer.begin(arguments)
+    try:
+        code = _answered(arguments)
+        sys.stdout.flush()
+    except OutputLost as error:
+        discard_results()
+        if error.errno == EPIPE:  # usual: the program that read the output, for example `head`, has closed it
+            return 141
+        notify(f"rig: {error.strerror}")
+        return 3
+    return code
+
+
+def _answered(arguments: list[str]) -> int:
     try:
         rest, level = split_log_level(arguments)
         if level is not None:
@@ -204,9 +216,8 @@ def _carried_out(arguments: list[str]) -> int:
     except CycloptsError as error:
         answer.give_error(" ".join(error_words(error).split()), 2)  # cyclopts has printed the same on standard error
         return 2
-    except BrokenPipeError:  # usual: the program that read the output, for example `head`, has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
+    except OutputLost:
+        raise
     except KeyboardInterrupt as stop:
         text = f"interrupted{f' by {stop}' if str(stop) else ''}"
         notify(f"rig: {text}")
@@ -245,21 +256,15 @@ def _exit_code(error: Exception) -> int | None:
 
 
 def main() -> None:
-    """Entry point. SIGHUP and SIGTERM end a command as Ctrl-C does: the log is finished and the rotor stopped."""
+    """Carry out the command of the command line and end the program with its exit code."""
     keep_compiled_code()  # set the folder of compiled code before anything compiles; child processes inherit it
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):  # Windows has no SIGHUP
-            signal.signal(getattr(signal, name), _interrupt)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a Greek letter shows a question mark
+    interrupt_at_signals()
     crash.watch_threads(sys.argv[1:])
-    sys.exit(run(sys.argv[1:]))
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt(signal.Signals(number).name)
+    code = run(sys.argv[1:])
+    end_at_next_signal(code)
+    sys.exit(code)
 
 
 if __name__ == "__main__":
+    open_streams()
     main()

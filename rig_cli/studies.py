@@ -10,6 +10,7 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
+from rig_basics.texts import storable
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json, Settings
@@ -47,7 +48,8 @@ def campaigns(
     folder = worked_out(study, _made(out) / "tiles", scheduler, "campaigns")
     found = CampaignResults.of(folder)
     result = {"rig": rig, "seed": seed, "settings": list(settings or []), **_campaigns_json(found)}
-    (out / "campaigns.json").write_text(json_text.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+    text = storable(json_text.dumps(result, indent=1, ensure_ascii=False))
+    (out / "campaigns.json").write_text(text, encoding="utf-8")
     if json:
         print_json({**result, "file": str(out / "campaigns.json")})
         return 0
@@ -89,7 +91,8 @@ def archive(
     rows = Reidentified.all_of(worked_out(study, _made(out) / "tiles", scheduler, "campaigns"))
     written = [_written(row, out) for row in rows]
     result = {"rig": rig, "settings": list(settings or []), "campaigns": written}
-    (out / "archive.json").write_text(json_text.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+    text = storable(json_text.dumps(result, indent=1, ensure_ascii=False))
+    (out / "archive.json").write_text(text, encoding="utf-8")
     if json:
         print_json({**result, "file": str(out / "archive.json")})
         return 0

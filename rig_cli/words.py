@@ -10,16 +10,9 @@ from rich.console import Console
 _PLAIN_WIDTH = 400  # columns of output that is not a terminal
 
 
-class _Stdout(Console):
-    """A console that raises BrokenPipeError, so that the command sets the exit code."""
-
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError
-
-
 def stdout_console() -> Console:
     """Return a console on standard output: as wide as the terminal, without line breaks if it is not one."""
-    return _Stdout(highlight=False, markup=False, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+    return Console(highlight=False, markup=False, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 
 
 def printable(text: object) -> str:

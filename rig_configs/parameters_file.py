@@ -14,6 +14,7 @@ import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
+from rig_basics.texts import storable
 from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError, RigFileError
@@ -211,7 +212,7 @@ class IdentifiedParameters:
         if self.terms is not None:
             document["suspension_terms"] = self.terms.table()
         document["provenance"] = self.provenance
-        Path(path).write_text(tomlkit.dumps(document), encoding="utf-8")
+        Path(path).write_text(storable(tomlkit.dumps(document)), encoding="utf-8")
 
     @staticmethod
     def label(path: str | Path) -> str:

@@ -104,7 +104,7 @@ class Study:
     @classmethod
     def question(cls, question: Mapping[str, Any]) -> str:
         """Return the canonical text of a question."""
-        return json.dumps(question, sort_keys=True, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+        return json.dumps(question, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
     @cached_property
     def digest(self) -> str:

@@ -69,13 +69,15 @@ def _write(
     held = json.dumps({"provenance": provenance, "shape": shape})
     arrow = _arrow("pyarrow")
     table = arrow.table({name: arrow.array(values) for name, values in columns.items()})
-    _arrow("pyarrow.parquet").write_table(
-        table.replace_schema_metadata({_KEY: held.encode()}), path, compression="zstd"
-    )
+    with open(path, "wb") as file:  # Arrow refuses names that are not UTF-8
+        _arrow("pyarrow.parquet").write_table(
+            table.replace_schema_metadata({_KEY: held.encode()}), file, compression="zstd"
+        )
 
 
 def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str, Any]]:
-    table = _arrow("pyarrow.parquet").read_table(path)
+    with open(path, "rb") as file:
+        table = _arrow("pyarrow.parquet").read_table(file)
     about: dict[bytes, bytes] = table.schema.metadata or {}
     held = json.loads(about[_KEY])
     return {name: table[name].to_numpy() for name in table.column_names}, held["provenance"], held["shape"]

@@ -35,6 +35,7 @@ from daq.exchange.tables import (
 from daq.log import Log, open_log
 from daq.log.time_span import TimeSpan
 from daq.signals.run import Run, load_run
+from rig_basics.texts import storable
 
 Format = Literal["parquet", "csv", "mat", "hdf5"]
 _SUFFIXES: Mapping[str, Format] = {".parquet": "parquet", ".csv": "csv", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"}
@@ -184,7 +185,7 @@ class _Job:
         units = {layout.name: layout.units for layout in layouts}
         files = {layout.name: self._file(layout, len(layouts)).name for layout in layouts}
         text = json.dumps({**facts, "files": files, "units": units, **notes}, ensure_ascii=False, indent=1)
-        self.staging.place(self._sidecar).write_text(text, encoding="utf-8")
+        self.staging.place(self._sidecar).write_text(storable(text), encoding="utf-8")
 
     def _notes(self, topic: str) -> list[dict[str, Any]]:
         from_ns, to_ns = self.window.ns(self.log.start_ns)

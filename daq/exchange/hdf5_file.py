@@ -11,6 +11,7 @@ from typing import Any, cast
 import h5py
 
 from daq.exchange.tables import Columns, Layout
+from rig_basics.texts import storable
 
 _CHUNK_ROWS = 16_384
 _LONGEST_ATTRIBUTE = 4000  # characters; HDF5 limits attributes to 64 kB, and viewers do not show long ones
@@ -59,10 +60,10 @@ class Hdf5File:
         notes = {name: provenance[name] for name in ("events", "health") if name in provenance}
         facts = {key: value for key, value in provenance.items() if key not in notes}
         for name, value in {"provenance": facts, **notes}.items():
-            self._file.create_dataset(name, data=json.dumps(value, ensure_ascii=False), dtype=_TEXT)
+            self._file.create_dataset(name, data=storable(json.dumps(value, ensure_ascii=False)), dtype=_TEXT)
         for key, value in facts.items():
             if isinstance(value, str | int | float) and len(str(value)) <= _LONGEST_ATTRIBUTE:
-                self._file.attrs[key] = value
+                self._file.attrs[key] = storable(value) if isinstance(value, str) else value
         self.close()
         self._disk.check()
 

@@ -27,6 +27,7 @@ from daq.exchange.sensors import marks_file, read_sensors
 from daq.guided_test_kinds import KINDS, kind_of, point_of
 from daq.log.time_span import TimeSpan
 from daq.version import software_version
+from rig_basics.texts import storable
 from rig_configs.schema import Rig
 
 UNKNOWN_START_NS = 946_684_800_000_000_000
@@ -186,7 +187,7 @@ def _attachments(recording: ColumnFile, rig: Rig, recipe: Recipe, noticed: Impor
         "rig.json": rig.snapshot_json(),
         "roles.json": rig.roles_json(),
         "identities.json": b"{}",
-        "import.json": text.encode(),
+        "import.json": storable(text).encode(),
     }
 
 

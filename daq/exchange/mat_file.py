@@ -15,6 +15,7 @@ from scipy import io
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.tables import Columns, Layout
+from rig_basics.texts import storable
 
 _LARGEST_VARIABLE = 2**31 - 2**20  # bytes; the rest is reserved for the names of the fields
 
@@ -68,4 +69,6 @@ class MatFile:
 
 def _plain(value: Any) -> Any:
     """Return texts and numbers unchanged, everything else as JSON (MATLAB: jsondecode)."""
-    return value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, int | float):
+        return value
+    return storable(value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pyarrow
 import pyarrow.parquet
 
 from daq.exchange.tables import Columns, Layout
+from rig_basics.texts import storable
 
 pa: Any = pyarrow  # has no types
 pq: Any = pyarrow.parquet
@@ -29,10 +31,13 @@ class ParquetFiles:
         self._layouts = {layout.name: layout for layout in layouts}
         self._schemas = {layout.name: _schema(layout) for layout in layouts}
         self._writers: dict[str, Any] = {}
+        self._files = ExitStack()
         try:
             for name, schema in self._schemas.items():
+                # pyarrow refuses names that are not UTF-8
+                file = self._files.enter_context(open(places[name], "wb"))  # noqa: SIM115 (entered on the stack)
                 # a stored arrow schema would hide the metadata added at the end, when the missing parts are known
-                self._writers[name] = pq.ParquetWriter(places[name], schema, compression="zstd", store_schema=False)
+                self._writers[name] = pq.ParquetWriter(file, schema, compression="zstd", store_schema=False)
         except BaseException:
             self.close()
             raise
@@ -47,7 +52,7 @@ class ParquetFiles:
         """See TableWriter."""
         for name, writer in self._writers.items():
             units = json.dumps(self._layouts[name].units, ensure_ascii=False)
-            facts = {"table": name, "units": units, "provenance": json.dumps(provenance, ensure_ascii=False)}
+            facts = {"table": name, "units": units, "provenance": storable(json.dumps(provenance, ensure_ascii=False))}
             writer.add_key_value_metadata(facts)
         self.close()
 
@@ -55,6 +60,7 @@ class ParquetFiles:
         """See TableWriter."""
         while self._writers:
             self._writers.popitem()[1].close()
+        self._files.close()
 
 
 def _schema(layout: Layout) -> Any:

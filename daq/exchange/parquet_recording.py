@@ -29,7 +29,8 @@ class ParquetRecording:
         self.remarks: Sequence[str] = ()
         self.others: Mapping[str, str] = {}
         try:
-            self._schema = pq.read_schema(path)
+            with open(path, "rb") as file:  # pyarrow refuses names that are not UTF-8
+                self._schema = pq.read_schema(file)
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(path, fault) from fault
         self.names: tuple[str, ...] = tuple(self._schema.names)
@@ -40,7 +41,7 @@ class ParquetRecording:
         for name in wanted:
             self._need_numbers(name)
         try:
-            with pq.ParquetFile(self.path) as file:
+            with open(self.path, "rb") as opened, pq.ParquetFile(opened) as file:
                 refuse_bomb(self.path, "", 8 * file.metadata.num_rows * len(wanted))
                 table = file.read(columns=wanted)
         except MemoryError:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
 from daq.mcap.summary import WrittenChunk, WrittenCounts, encode_record
+from rig_basics.texts import storable
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
@@ -225,7 +226,8 @@ class BlockWriter:
         self._check_open()
         if METADATA_CRC in metadata:
             raise ValueError(f"metadata {name!r}: expected no key {METADATA_CRC!r}: it is the record's own checksum")
-        table = {**metadata, METADATA_CRC: metadata_crc(name, metadata)}
+        table = {storable(key): storable(text) for key, text in metadata.items()}
+        table[METADATA_CRC] = metadata_crc(name, table)
         record = encode_record(records.Metadata(name=name, metadata=table))
         self._summary.add_metadata(records.MetadataIndex(self._offset, len(record), name))
         self._write(record)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from live.errors import InvalidRequest
+from rig_basics.texts import storable
 
 SUBPROTOCOLS = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 """Names of the protocol, the preferred one first; programs that offer both may accept the first only. The messages are
@@ -124,12 +125,12 @@ def server_info(name: str, session: str, metadata: Mapping[str, str]) -> str:
     other capabilities would allow clients to write.
     """
     info = {"op": "serverInfo", "name": name, "capabilities": ["time"], "metadata": dict(metadata)}
-    return json.dumps(info | {"sessionId": session}, ensure_ascii=False)
+    return storable(json.dumps(info | {"sessionId": session}, ensure_ascii=False))
 
 
 def advertise(given: Sequence[Offered]) -> str:
     """Return the second message: all channels."""
-    return json.dumps({"op": "advertise", "channels": [each.facts() for each in given]}, ensure_ascii=False)
+    return storable(json.dumps({"op": "advertise", "channels": [each.facts() for each in given]}, ensure_ascii=False))
 
 
 def status(level: int, text: str, about: str = "") -> str:

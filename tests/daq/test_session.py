@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -299,33 +300,53 @@ def test_the_virtual_rig_ends_with_its_parent_process() -> None:
     assert not Path(f"/proc/{child}").exists() or Path(f"/proc/{child}/stat").read_text().split()[2] == "Z"
 
 
+def recording_command(rig: VirtualRigProcess, log: Path) -> list[str]:
+    """Return the command line of a recording from a virtual rig."""
+    command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(log)]
+    command += ["--time-scale", str(TIME_SCALE)]
+    return command + [word for setting in rig.port_settings() for word in ("--set", setting)]
+
+
+def wait_until_recorded(log: Path) -> None:
+    """Wait until a part of a log is on the disk."""
+    part, deadline = log.with_name(f"{log.name}.part"), time.monotonic() + 120
+    while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+@needs_posix
+def test_a_recording_goes_on_when_its_terminal_is_gone(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+    """The page of the recording is shown four times a second on a terminal that is closed meanwhile."""
+    log, (ours, theirs) = tmp_path / "run.mcap", os.openpty()
+    command = [*recording_command(virtual_rig, log), "--duration", "15", "--json"]
+    host = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=theirs, text=True, env={**os.environ, "TERM": "xterm"}
+    )
+    os.close(theirs)
+    wait_until_recorded(log)
+    os.close(ours)
+    out, _ = host.communicate(timeout=120)
+    assert host.returncode == 0
+    assert json.loads(out)["ended"] == "duration"
+    with open_log(log) as opened:
+        assert opened.complete
+        times = opened["laser/x"].time_s
+        assert times[-1] - times[0] > 14.0
+
+
 @needs_posix
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=thorough)])
 def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
 ) -> None:
     log = tmp_path / "run.mcap"
-    command = [
-        sys.executable,
-        "-m",
-        "rig_cli.main",
-        "record",
-        "virtual",
-        "-o",
-        str(log),
-        "--time-scale",
-        str(TIME_SCALE),
-    ]
-    for setting in virtual_rig.port_settings():
-        command += ["--set", setting]
+    command = recording_command(virtual_rig, log)
     chosen = signal.Signals[name]
     # tests that were started in the background may have this signal ignored, which a child would inherit
     before = signal.signal(chosen, signal.SIG_DFL)
     host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
     signal.signal(chosen, before)
-    part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 120
-    while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until_recorded(log)
     host.send_signal(chosen)
     out, _ = host.communicate(timeout=120)
     assert host.returncode == 0

@@ -31,28 +31,75 @@ print(float(end[4]))
 """
 
 
-def run_in(place: Path, home: Path) -> float:
+def run_in(place: Path, home: Path, program: str) -> list[str]:
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     environment |= {"HOME": str(home), "XDG_CACHE_HOME": str(home), "LOCALAPPDATA": str(home), "PYTHONPATH": str(place)}
     done = subprocess.run(
-        [sys.executable, "-c", FAR_CALLER], cwd=place, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program], cwd=place, env=environment, capture_output=True, text=True, check=True
     )
-    return float(done.stdout)
+    return done.stdout.split()
 
 
 def test_a_changed_kernel_is_not_run_from_old_code(tmp_path: Path) -> None:
     """The integrator's file stays as it is; the kernel it calls, in another file, changes the spring's sign."""
     place, home = tmp_path / "checkout", tmp_path / "home"
-    shutil.copytree(ROOT / "dynamics", place / "dynamics", ignore=shutil.ignore_patterns("__pycache__"))
+    for package in ("dynamics", "rig_basics"):
+        shutil.copytree(ROOT / package, place / package, ignore=shutil.ignore_patterns("__pycache__"))
     (place / "tests" / "dynamics").mkdir(parents=True)
     shutil.copy(ROOT / "tests" / "dynamics" / "nominal.py", place / "tests" / "dynamics")
-    before = run_in(place, home)
-    assert run_in(place, home) == before
+    before = run_in(place, home, FAR_CALLER)
+    assert run_in(place, home, FAR_CALLER) == before
     kernel = place / "dynamics" / "equations" / "kernels.py"
     text = kernel.read_text(encoding="utf-8")
     assert text.count("- p[K1] * ux") == 1
     kernel.write_text(text.replace("- p[K1] * ux", "+ p[K1] * ux"), encoding="utf-8")
-    assert run_in(place, home) == pytest.approx(-before, rel=0.01)
+    assert float(run_in(place, home, FAR_CALLER)[0]) == pytest.approx(-float(before[0]), rel=0.01)
+
+
+KERNEL = """
+from numba import njit
+from daq.channels import SUSPECT_BEFORE
+
+@njit(cache=True)
+def flag():
+    return SUSPECT_BEFORE
+"""
+
+FROZEN_FLAG = """
+from dynamics.compiled_code import keep_compiled_code
+keep_compiled_code()
+from daq.channels import SUSPECT_BEFORE
+from daq.flag_kernel import flag
+print(flag(), SUSPECT_BEFORE)
+"""
+
+
+def test_a_changed_number_of_another_file_is_not_read_from_old_code(tmp_path: Path) -> None:
+    """Compiled code, as that of the spike watch, writes the flag that the reader of the samples tests."""
+    place = tmp_path / "checkout"
+    for package in ("daq", "dynamics", "rig_basics"):
+        shutil.copytree(ROOT / package, place / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (place / "daq" / "flag_kernel.py").write_text(KERNEL, encoding="utf-8")
+    assert run_in(place, tmp_path / "home", FROZEN_FLAG) == ["1", "1"]
+    channels = place / "daq" / "channels.py"
+    text = channels.read_text(encoding="utf-8")
+    assert text.count("SUSPECT_BEFORE, SUSPECT_PLACES = 0x1, 10") == 1
+    channels.write_text(text.replace("SUSPECT_PLACES = 0x1, 10", "SUSPECT_PLACES = 0x4, 10"), encoding="utf-8")
+    assert run_in(place, tmp_path / "home", FROZEN_FLAG) == ["4", "4"]
+
+
+@pytest.mark.parametrize("name", ["NUMBA_OPT", "NUMBA_BOUNDSCHECK"])
+def test_the_options_of_the_compiler_belong_to_the_digest(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compiled_code.source_digest()
+    monkeypatch.setenv(name, "1")
+    assert compiled_code.source_digest() != before
+
+
+@pytest.mark.parametrize("name", ["NUMBA_NUM_THREADS", "NUMBA_CACHE_DIR"])
+def test_variables_that_change_no_code_do_not_compile_again(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compiled_code.source_digest()
+    monkeypatch.setenv(name, "1")
+    assert compiled_code.source_digest() == before
 
 
 IMPORTER = """

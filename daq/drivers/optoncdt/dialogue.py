@@ -17,6 +17,8 @@ _ANSWER_S = (1.0, 1.5)
 """Waits for an answer after the first and after the repeated command, wall s; MASTERMV takes up to 2 s."""
 _QUIET_S = 0.25  # without a further answer, after which no late one follows; wall s
 _MOST_LATE_S = 2.0  # of a sensor that sends lines without end, wall s
+_MOST_BACKLOG_S = 10.0
+"""Time for the bytes that waited in buffers when the session began, wall s: 64 KiB take 5.7 s at 115 200 baud."""
 _ACCESS = re.compile(r"access|denied", re.IGNORECASE)
 _ARGUMENT = re.compile(r"parameter|argument|value|range|timeout", re.IGNORECASE)
 _REFUSAL = re.compile(r"E\d{2,}\b")  # two digits on an ILD2300, otherwise three
@@ -42,13 +44,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     Raises:
         DeviceError: the sensor does not answer, refuses a command, or differs from the rig file.
     """
-    if not stop_stream(talk, b"OUTPUT NONE\n"):
-        raise DeviceError(
-            f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. {_why(config, talk)}"
-        )
-    talk.restart_decoding()
-    dialogue = _Dialogue(device, config, talk)
-    dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may have been lost in the stream
+    dialogue = _after_stream(device, config, talk)
     dialogue.command("ECHO ON", may_lack=True)
     info = _info(device, dialogue.command("GETINFO"))
     scaling = _checked_scaling(device, config, info)
@@ -74,6 +70,35 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     return {**info, "scaling": scaling, "words": list(words), **warning}
 
 
+def _after_stream(device: str, config: Laser, talk: Talk) -> _Dialogue:
+    """Stop the stream and return the dialogue once the sensor answers.
+
+    A host that is busy reads the stream of the sensor in portions, and the pause between two of them looks like the end
+    of the stream. As long as bytes arrive instead of the answer, which stands behind them, the stop is repeated.
+
+    Raises:
+        DeviceError: the sensor goes on streaming, or does not answer.
+    """
+    give_up_s, repeated = talk.clock.wall_s() + _MOST_BACKLOG_S, False
+    while True:
+        if not stop_stream(talk, b"OUTPUT NONE\n"):
+            raise DeviceError(
+                f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. {_why(config, talk)}"
+            )
+        talk.restart_decoding()
+        dialogue, received = _Dialogue(device, config, talk), talk.bytes_in
+        try:
+            dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may be lost in the stream
+        except _NoAnswer:
+            if talk.bytes_in == received or talk.clock.wall_s() > give_up_s:
+                raise
+            repeated = True
+            continue
+        if repeated:
+            dialogue.drop_answers(_QUIET_S)  # those to the earlier ones
+        return dialogue
+
+
 def _why(config: Laser, talk: Talk) -> str:
     """Return the likely reason for a stream that does not stop, from the answers received meanwhile."""
     while not talk.replies.empty():
@@ -88,6 +113,10 @@ def _why(config: Laser, talk: Talk) -> str:
 
 def _is_refusal(line: str) -> bool:
     return _REFUSAL.match(line) is not None
+
+
+class _NoAnswer(DeviceError):
+    """The sensor did not answer a command in time."""
 
 
 class _Dialogue:
@@ -109,7 +138,7 @@ class _Dialogue:
         if lines is None:
             if may_lack:
                 return []
-            raise DeviceError(self._no_answer(text, repeat))
+            raise _NoAnswer(self._no_answer(text, repeat))
         if bad and (not may_lack or _ACCESS.search(bad) or _ARGUMENT.search(bad)):
             raise self._refused(text, bad)
         return lines
@@ -130,14 +159,14 @@ class _Dialogue:
         self._sent.add(text.split(maxsplit=1)[0])
         for attempt, wait_s in enumerate(_ANSWER_S if repeat else _ANSWER_S[:1]):
             if attempt == 0:
-                self._drop_answers(0.0)
+                self.drop_answers(0.0)
             self._talk.send(text.encode("ascii") + b"\n")
             lines = self._answer(text, wait_s)
             if lines is None:
                 continue
             self._answered = True
             if attempt:
-                self._drop_answers(_QUIET_S)  # the other answer may be late
+                self.drop_answers(_QUIET_S)  # the other answer may be late
             return lines, next((line for line in lines if _is_refusal(line)), "")
         return None, ""
 
@@ -165,7 +194,7 @@ class _Dialogue:
         found = {match[1].upper() for line in lines if (match := _ACKNOWLEDGED.fullmatch(line))} & self._sent
         return bool(found) and name not in found
 
-    def _drop_answers(self, quiet_s: float) -> None:
+    def drop_answers(self, quiet_s: float) -> None:
         """Remove answers until none has arrived for some wall seconds, or some more have passed."""
         clock = self._talk.clock
         end_s = clock.wall_s() + _MOST_LATE_S
