@@ -57,8 +57,8 @@ class Explanation:
 
     @property
     def possible(self) -> bool:
-        """Whether every one-sided cause has a positive size."""
-        return all(size > 0 or not cause.one_sided for cause, size in zip(self.causes, self.sizes, strict=True))
+        """Whether every cause leaves a possible value: a mass, length, stiffness, gain or torque is positive."""
+        return all(not cause.value + size <= 0 for cause, size in zip(self.causes, self.sizes, strict=True))
 
     def sentence(self, before: float) -> str:
         """Describe the causes with their sizes, and χ² before and after."""
@@ -158,7 +158,7 @@ def explanations(
             _followed(differences, e, again, limit) if k < _MAX_FOLLOWED or e.causes[0].one_sided else e
             for k, e in enumerate(singles)
         ]
-        singles.sort(key=lambda e: e.score)
+        singles = sorted((e for e in singles if e.possible), key=lambda e: e.score)
     pairs: list[Explanation] = []
     if singles and not singles[0].explained:
         pairs = [

@@ -41,7 +41,7 @@ from identification.setting import Setting
 from identification.sources import Sources, joined, log_names
 from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
 from rig_configs.drag import Reading
-from rig_configs.known import DRAG, KnownSource, assumed_remarks
+from rig_configs.known import BOW, DRAG, KnownSource, assumed_remarks
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.slow_roll import SlowRoll
@@ -127,7 +127,8 @@ class _Work:
         stated = {n: std for n in open_masses if (std := self.rig.known.std(n)) > 0}
         known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
         if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
-            known = replace(known, physics=replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag))
+            bent = replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag)
+            known = replace(known, physics=bent, numbers=(*known.numbers, *BOW))
         known = replace(known, physics=self.suspension_terms().terms.applied_to(known.physics))
         if not self.estimates:
             return known
@@ -149,6 +150,8 @@ class _Work:
     def sources(self) -> tuple[KnownSource, ...]:
         """Uncertainty sources of the quantities that the tests take as known."""
         known, drag = self.rig.known.sources, self.drag.drag if self.drag else None
+        if (roll := self.slow_roll()[0]) is not None:
+            known = known + roll.bow_sources
         return drag.moved_with(known) + drag.sources if drag else known
 
     @property
@@ -167,18 +170,20 @@ class _Work:
         return replace(known, physics=found.drag.on(known.physics), friction=friction, numbers=(*known.numbers, *DRAG))
 
     def slow_roll(self, digests: Mapping[Sources, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
-        """Run-out and bow from the run-ups so far. `digests` are the logs' digests by source."""
-        found = [
-            slow_roll_of(f.fit, f.source, (digests or {}).get(f.sources, ""))
-            for f in self.fits
-            if isinstance(f.fit, RunUpFit) and f.fit.settled
-        ]
+        """Run-out and bow from the accepted run-ups so far. `digests` are the logs' digests by source."""
+        found = [slow_roll_of(fit, joined(logs), (digests or {}).get(logs, "")) for logs, fit in self.passages.items()]
         return slow_roll_of_all([one for one in found if one is not None])
+
+    @property
+    def passages(self) -> dict[Sources, RunUpFit]:
+        """Fits of the run-ups whose S_P was accepted, by their logs. Other fits give nothing to later tests."""
+        accepted = {e.sources for e in self.estimates if "SP_kg_m" in e.names}
+        return {f.sources: f.fit for f in self.fits if isinstance(f.fit, RunUpFit) and f.sources in accepted}
 
     def suspension_terms(self, digests: Mapping[Sources, str] | None = None) -> ChosenTerms:
         """Amplitude dependence of the suspension from the tests so far. `digests` are the logs' digests by source."""
         ring_downs = [(f.sources, f.fit.terms) for f in self.fits if isinstance(f.fit, RingDownFit)]
-        passages = [(f.sources, f.fit.terms) for f in self.fits if isinstance(f.fit, RunUpFit) and f.fit.settled]
+        passages = [(logs, fit.terms) for logs, fit in self.passages.items()]
         return terms_of_all(ring_downs, passages, digests)
 
     @property

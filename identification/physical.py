@@ -15,6 +15,7 @@ from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import reduced
 from identification.run_up.fit import RunUpFit, run_up_estimate
+from identification.run_up.result import sensors_apart_m
 from identification.sources import log_names
 from rig_configs.load import refusal
 from rig_configs.parameters_file import IdentifiedParameters
@@ -67,7 +68,7 @@ def _cause(name: str, estimate: Estimate) -> str:
 def run_up_sides(
     run: Run, fit: RunUpFit, estimate: Estimate, rig: Rig, gains: tuple[float, float]
 ) -> tuple[Estimate, list[str]]:
-    """Detect errors of half a turn in a run-up: a pendulum's angle in its lock, the index mark, a sensor's sign.
+    """Detect contradictions in a run-up: a pendulum half a turn off its lock, the index mark, a sensor's sign or size.
 
     S_P follows from the angles of the locked pendulums. If an angle deviates by half a turn from its lock (A at 0°, B
     at 180°), S_P is left out, and the message contains its value for the corrected angle. k and ζ do not depend on it.
@@ -75,7 +76,7 @@ def run_up_sides(
     Returns:
         The estimate, without S_P if it is affected; messages.
     """
-    messages = _opposite(run, fit)
+    messages = _opposite(run, fit) + _sensors_apart(run, fit, gains)
     if "SP_kg_m" not in estimate.names or not len(run.angle_rad):
         return estimate, messages
     locked = np.mean(run.angle_rad, axis=0)
@@ -117,6 +118,19 @@ def _opposite(run: Run, fit: RunUpFit) -> list[str]:
             "direction. k, ζ and S_P do not depend on it, releases and points do; correct it before them"
         ]
     return []
+
+
+def _sensors_apart(run: Run, fit: RunUpFit, gains: tuple[float, float]) -> list[str]:
+    """Message if the sensors contradict each other in the size of the imbalance."""
+    apart = sensors_apart_m(fit, gains)
+    if apart == 0.0:
+        return []
+    x, y = (1e6 * fit.values[f"amplitude_{axis}_m"] for axis in "xy")
+    return [
+        f"{Path(run.source).name}: laser x shows an eccentricity of {x:.5g} µm, laser y {y:.5g} µm, more apart than "
+        "their gains permit: did the imbalance change between the resonances, does a laser's stand move, or is a gain "
+        "wrong? S_P is their mean, and its uncertainty contains half of the difference"
+    ]
 
 
 def _apart(angle: float, other: float) -> float:

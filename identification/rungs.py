@@ -29,7 +29,7 @@ RUNGS: Mapping[Rung, str] = {
     "wander": "drift of a sensor beyond a straight line; shortening of a ring-down because of it",
     "amplitude": "stiffness and damping of the suspension that depend on the amplitude",
     "second-mode": "a second mode in a lone sensor",
-    "slow-roll": "run-out of the measured surface and a bent shaft in run-ups",
+    "slow-roll": "run-out, a bent shaft, and a motion that grows with the square of the speed in run-ups",
     "ripple": "speed ripple between the index marks of a run-up",
     "clocks": "a time offset between sensors and rotor phase, for records of a single device",
     "friction": "dry friction of the pendulums in spin-downs and releases",

@@ -49,6 +49,9 @@ KEPT_FRICTION = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_k
 DRAG = ("drag.a_Nms2_per_rad2", "drag.b_Nms2_per_rad2")
 """Air drag on A and B: torque over the square of the speed relative to the rotor; 0 if none was identified."""
 
+BOW = ("bow_x_m", "bow_y_m")
+"""Components of a bow by their field names in RotorParameters; 0 if none was identified."""
+
 
 class Instrument(RigTable):
     """Instrument with which several numbers were measured: a balance, a caliper.

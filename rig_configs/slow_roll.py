@@ -11,7 +11,7 @@ import numpy as np
 
 from rig_basics.arrays import Array
 from rig_configs.error_label import ErrorLabel
-from rig_configs.known import INDEX, KnownNumbers
+from rig_configs.known import BOW, INDEX, KnownNumbers, KnownSource
 
 ORDER = ("run_out_x", "run_out_y", "bow")
 """Names of the complex numbers, in the order of the covariance: real and imaginary part of each."""
@@ -32,6 +32,14 @@ class SlowRollError:
     words: str
     std_m: float
     direction: Array
+
+
+@dataclass(frozen=True)
+class _BowSource(KnownSource):
+    @property
+    def label(self) -> ErrorLabel:
+        """Label of the same error in what points are predicted to show."""
+        return ErrorLabel("slow roll", self.name)
 
 
 _NAMES = ("run-out of x", "run-out of y", "bow")
@@ -93,6 +101,14 @@ class SlowRoll:
             SlowRollError(ErrorLabel("slow roll", f"{k}"), _words(turn[:, j]), math.sqrt(float(sizes[j])), turn[:, j])
             for k, j in enumerate(kept, start=1)
         )
+
+    @property
+    def bow_sources(self) -> tuple[KnownSource, ...]:
+        """Independent errors as sources for tests whose motion contains the bow; empty without a bow."""
+        if not self.bow_m:
+            return ()
+        moved = {error.label.of: (error.std_m * error.direction[4:]).tolist() for error in self.own_errors}
+        return tuple(_BowSource(name, 1.0, "1", dict(zip(BOW, parts, strict=True))) for name, parts in moved.items())
 
     @property
     def shifts(self) -> dict[ErrorLabel, Array]:

@@ -26,6 +26,7 @@ _SOURCE_OF: Mapping[str, Source] = {
     "clock": "clock",
     "friction": "friction",
     "known": "known",
+    "slow roll": "model",
     "suspension": "model",
 }
 _ADVICE = {

@@ -24,7 +24,7 @@ from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.release_problem import RecordedRelease
 from identification.pendulums.release_search import NotFollowed
-from identification.pendulums.suspension_knowledge import BOW, Knowledge
+from identification.pendulums.suspension_knowledge import Knowledge
 from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, with_common_friction
 from identification.release_check.model import Condensed, FittedRelease, condensed
 from identification.release_check.together import agreed, fitted_at
@@ -32,7 +32,7 @@ from identification.sources import parts
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.error_label import ErrorLabel
-from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
+from rig_configs.known import BOW, CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.suspension_terms import TERMS

@@ -16,11 +16,10 @@ import numpy as np
 
 from identification.least_squares import Minimum
 from identification.pendulums.release_problem import RecordedRelease, Shape
-from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
 from rig_basics.arrays import Array
-from rig_configs.known import DRAG, FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
+from rig_configs.known import BOW, DRAG, FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
 from rig_configs.suspension_terms import TERMS
 
 PLACES: Mapping[str, int] = {

@@ -10,10 +10,10 @@ import numpy as np
 
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
-from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.release_check.model import PLACES, Condensed, FittedRelease, Misfit
 from rig_basics.arrays import Array
+from rig_configs.known import BOW
 
 _log = logging.getLogger(__name__)
 

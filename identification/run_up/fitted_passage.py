@@ -26,6 +26,7 @@ from identification.run_up.reported import determined, either, reported, slow_ro
 from identification.run_up.result import RunUpFit
 from identification.run_up.rotor_phase import PhaseHistory
 from identification.run_up.slow_roll_choice import Doubt
+from identification.run_up.unmodelled import Unmodelled, unmodelled
 from identification.samples import Averages, correlation_inflation
 from identification.setting import Setting
 
@@ -62,13 +63,15 @@ def fit_result(
     correlated = max(1.0, *(correlation_inflation(residual) for residual in solution.residuals))
     chi2 = solution.chi2_per_dof
     stretch = None if slow else max(chi2, 1e-3) * correlated**2
-    names, values, covariance = _values_of_both(record, phase, design, doubt, stretch)
+    besides = unmodelled(record, design)
+    names, values, covariance = _values_of_both(record, phase, design, doubt, stretch, besides)
     noise = max(1.0, chi2) * correlated**2
     gains = [gain / noise for gain in imbalance_gains(record, design)]
     keep, remarks = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
     warnings += remarks
     warnings += _doubts(solution, correlated, bool(slow))
-    terms, with_terms = _terms(record, phase, design, 1.0 if stretch is None else stretch)
+    warnings += [besides.sentence] if besides else []
+    terms, with_terms = _terms(record, phase, design, 1.0 if stretch is None else stretch, besides)
     names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
     warnings += slow_roll_sentences(names, values, covariance)
     naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
@@ -134,7 +137,7 @@ def _doubts(solution: Solution, correlated: float, slow: bool) -> list[str]:
 
 
 def _terms(
-    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float
+    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float, besides: Unmodelled | None
 ) -> tuple[list[DirectionTerms], np.ndarray]:
     """Terms of the suspension for each direction, and covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
     jacobian = reported(design, phase.mark_rad)[2]
@@ -144,6 +147,7 @@ def _terms(
     pick = np.pad(spread, ((0, 0), (0, design.unknowns - design.nonlinear)))
     every = np.concatenate([jacobian, pick])
     covariance = every @ design.covariance @ every.T * stretch + phase_noise_covariance(record, phase, design, every)
+    covariance += 0.0 if besides is None else besides.covariance(design, every)
     own = covariance[len(jacobian) :, len(jacobian) :]
     values, free, out = (
         design.structure.theta(design.phi)[TERMS],
@@ -158,15 +162,22 @@ def _terms(
 
 
 def _values_of_both(
-    record: RunUpRecord, phase: PhaseHistory, design: Design, doubt: Doubt | None, stretch: float | None
+    record: RunUpRecord,
+    phase: PhaseHistory,
+    design: Design,
+    doubt: Doubt | None,
+    stretch: float | None,
+    besides: Unmodelled | None,
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names, values and covariance as `_values`, with the model that is not excluded, if there is one."""
+    """Names, values and covariance as `_values`, with the model that is not excluded and unmodelled motion."""
     names, values, covariance = _values(record, phase, design, stretch)
     if doubt is not None:
         other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
         values, covariance = either(
             names, (values, covariance), _values(record, phase, other, stretch), doubt.probability
         )
+    if besides is not None:
+        covariance = covariance + besides.covariance(design, reported(design, phase.mark_rad)[2])
     return names, values, covariance
 
 

@@ -8,9 +8,9 @@ free oscillations of both modes, and a polynomial drift. A `Structure` states wh
 c1 and c2 are speed ripple between tachometer marks, which record one instant of each turn only: a phase of
 ψ + 2|c1| sin(ψ + arg c1) + 2|c2| sin(2ψ + arg c2) drives with e^{iψ} + c1 e^{2iψ} − c1* + c2 e^{3iψ} − c2* e^{−iψ}.
 
-A structure may add the slow roll with two further linear complex amplitudes per sensor
-(identification.run_up.slow_roll): run-out, which the sensor shows at any speed, and the response of the suspension to a
-bent shaft. If the suspension depends on amplitude, that response is part of the motion
+A structure may add up to three further linear complex amplitudes per sensor (identification.run_up.slow_roll): run-out,
+which the sensor shows at any speed, the response of the suspension to a bent shaft, and a motion that grows with the
+square of the speed. If the suspension depends on amplitude, the response to the bow is part of the motion
 (identification.run_up.bent_passage).
 """
 
@@ -93,7 +93,8 @@ class Structure:
         spread: matrix of zeros and ones, shape (13 or 18, p).
         prior, prior_std: prior of φ, shape (p,). The std is inf without a prior.
         drift_order: order of the sensors' polynomial drift.
-        run_out, bow: whether the model contains run-out and a bow.
+        run_out, bow, growing: whether the model contains run-out, a bow, and a motion that grows with the square of the
+            speed.
     """
 
     base: np.ndarray
@@ -103,6 +104,7 @@ class Structure:
     drift_order: int
     run_out: bool = False
     bow: bool = False
+    growing: bool = False
 
     @property
     def run_out_at(self) -> slice:
@@ -113,6 +115,16 @@ class Structure:
     def bow_at(self) -> slice:
         """Indices of the bow in a sensor's linear unknowns; empty without it."""
         return slice(self.run_out_at.stop, self.run_out_at.stop + 2 * self.bow)
+
+    @property
+    def growing_at(self) -> slice:
+        """Indices of the growing motion in a sensor's linear unknowns; empty without it."""
+        return slice(self.bow_at.stop, self.bow_at.stop + 2 * self.growing)
+
+    @property
+    def turning(self) -> tuple[bool, bool, bool]:
+        """Whether the model contains run-out, a bow and a growing motion."""
+        return self.run_out, self.bow, self.growing
 
     @property
     def motion_at(self) -> np.ndarray:
@@ -291,7 +303,7 @@ def _sensor_block(
     for one in seen:
         columns += [np.real(one.decay), -np.imag(one.decay)]
     slow: list[_Slow] = []
-    if structure.run_out or structure.bow:
+    if any(structure.turning):
         turn = turning(drive, record.when(theta, axis), channel.spread_s2)
         slow = _slow_roll(structure, turn, oscillators, seen, axis, (mix, turned), given)
     for one in slow:
@@ -341,22 +353,27 @@ def _blocks_about_last(record: RunUpRecord, structure: Structure, phi: np.ndarra
 
 @dataclass(frozen=True)
 class _Slow:
-    """Part of the slow roll in a sensor's signal, complex, shape (n,), its rate, and its derivatives by index of θ."""
+    """Further motion once per turn in a sensor's signal.
+
+    Attributes:
+        signal, rate: complex, shape (n,).
+        by: derivatives of the signal by index of θ.
+    """
 
     signal: np.ndarray
     rate: np.ndarray
     by: dict[int, np.ndarray]
 
 
-def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of run-out and bow for a model without them, shape (n, 4) each, in standard deviations."""
-    wider = replace(structure, run_out=True, bow=True)
+def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> np.ndarray:
+    """Columns of run-out, bow and growing motion for a model without them, shape (3, n, 4), in standard deviations."""
+    wider = replace(structure, run_out=True, bow=True, growing=True)
     blocks = _blocks_about_last(record, wider, phi)
     first = len(blocks[0].data)
-    out = np.zeros((2, first + len(blocks[1].data), 4))
-    for k, at in enumerate((wider.run_out_at, wider.bow_at)):
+    out = np.zeros((3, first + len(blocks[1].data), 4))
+    for k, at in enumerate((wider.run_out_at, wider.bow_at, wider.growing_at)):
         out[k, :first, :2], out[k, first:, 2:] = (block.basis[:, at] for block in blocks)
-    return out[0], out[1]
+    return out
 
 
 def _slow_roll(
@@ -368,7 +385,7 @@ def _slow_roll(
     mixes: tuple[Sequence[complex], Sequence[complex]],
     given: Sensed | None,
 ) -> list[_Slow]:
-    """Run-out and bow of the structure.
+    """Run-out, bow and growing motion of the structure.
 
     Args:
         structure: model.
@@ -379,17 +396,19 @@ def _slow_roll(
         given: motion of a bent passage. The bow is part of it, and its derivatives are those of its amplitude.
     """
     found: list[_Slow] = []
+    own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
     if structure.run_out:
-        own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
         found.append(_Slow(own * turn.phasor, own * turn.rate, {}))
     if structure.bow and given is not None:
         found.append(_Slow(given.bow, np.zeros_like(given.bow), {}))
     elif structure.bow:
         mix, turned = mixes
-        answers = [bow_answer(one, turn, *own) for one, own in zip(seen, oscillators, strict=True)]
+        answers = [bow_answer(one, turn, *mode) for one, mode in zip(seen, oscillators, strict=True)]
         by = {ANGLE: turned[0] * answers[0].h + turned[1] * answers[1].h}
         for mode, answer in enumerate(answers):
             by[2 * mode], by[2 * mode + 1] = mix[mode] * answer.by_omega, mix[mode] * answer.by_zeta
         a, b = answers
         found.append(_Slow(mix[0] * a.h + mix[1] * b.h, mix[0] * a.rate + mix[1] * b.rate, by))
+    if structure.growing:
+        found.append(_Slow(own * turn.grown, own * turn.grown * turn.rate / turn.phasor, {}))
     return found

@@ -39,7 +39,8 @@ def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np
         at += len(c)
     names += ["amplitude_x_m", "phase_x_deg", "amplitude_y_m", "phase_y_deg"]
     values += [sizes[0], turns[0], sizes[1], turns[1]]
-    for kind, part in (("run_out", structure.run_out_at), ("bow", structure.bow_at)):
+    parts = (("run_out", structure.run_out_at), ("bow", structure.bow_at), ("growing", structure.growing_at))
+    for kind, part in parts:
         at = p
         for axis, c in zip("xy", design.coefficients, strict=True):
             if part.stop > part.start:
@@ -158,5 +159,11 @@ def slow_roll_sentences(names: list[str], values: np.ndarray, covariance: np.nda
         messages.append(
             f"bow: the springs' rest position turns with the shaft, {shown('bow')}; its force is fitted with the "
             "imbalance's, and acts where points are predicted"
+        )
+    if "growing_x_m" in value:
+        messages.append(
+            f"a motion that grows with the square of the speed: {shown('growing')} at the fastest speed, besides the "
+            "response to the imbalance. Pendulums locked at different heights tilt the disk, or a laser's stand moves; "
+            "it is fitted with the resonances, and predictions of points do not contain it"
         )
     return messages

@@ -19,6 +19,8 @@ from rig_configs.error_label import ErrorLabel
 from rig_configs.known import MASSES, ZERO_A, ZERO_B
 from rig_configs.suspension_terms import TERMS
 
+_MAX_CHI2 = 10.8  # of the difference of both sensors' eccentricities: P(χ² > 10.8) = 1e-3
+
 
 @dataclass(frozen=True)
 class RunUpFit:
@@ -30,9 +32,11 @@ class RunUpFit:
             phase_y_deg (of that eccentricity against ψ, from the first stiffness axis). With separate clocks of sensors
             and phase also delay_x_s, delay_y_s (laser against phase). With a slow roll also run_out_x_m, run_out_x_deg
             (sensor x shows Re(r e^{iψ}) at any speed, sensor y Im) and bow_x_m, bow_x_deg (of the springs' rest
-            position, from the first stiffness axis), and the same for y. Values that the passage does not determine are
-            absent; a warning names them.
-        covariance: shape (n, n), in the order of the values; statistical, including the noise of the phase.
+            position, from the first stiffness axis), and growing_x_m, growing_x_deg (motion that grows with the square
+            of the speed, at the fastest speed; as run-out), and the same for y. Values that the passage does not
+            determine are absent; a warning names them.
+        covariance: shape (n, n), in the order of the values; statistical, including the noise of the phase and a motion
+            once per turn that the model does not contain.
         warnings: findings that limit the use of the values.
         curves: curves of both sensors.
         half_power: f_Hz and zeta from the peak and its width, for each sensor; biased by the sweep.
@@ -72,7 +76,8 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     """Convert the fit of a run to k1, k2, ζ1, ζ2 and S_P. Parameters that the passage does not determine are absent.
 
     The sensors measure M_S A = |S_P + S_A e^{iθ3} + S_B e^{iθ4}| with the measured angles of the locked pendulums. S_P
-    is the positive solution. The weights of the sensors follow from their statistical and gain errors.
+    is the positive solution. The weights of the sensors follow from their statistical and gain errors. If the sensors
+    contradict each other, half their difference is part of the uncertainty of S_P.
 
     Args:
         run: fitted run.
@@ -104,6 +109,8 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     jacobian[range(m), range(m)] = 2 * stiffness / raw[:m]
     jacobian[range(m, 2 * m), range(m, 2 * m)] = 1.0
     jacobian[2 * m, 2 * m :] = slope * mass * weights
+    spread = jacobian @ covariance @ jacobian.T
+    spread[-1, -1] += (slope * mass * sensors_apart_m(fit, gain_std)) ** 2
     names = (*(f"k{i + 1}_N_per_m" for i in modes), *(f"zeta{i + 1}" for i in modes), "SP_kg_m")
     values = np.array([*stiffness, *raw[m : 2 * m], unbalance])
     shared = clock_errors(run, {"phase": np.r_[2 * stiffness, np.zeros(m + 1)]})
@@ -121,12 +128,29 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
         (run.source,),
         names,
         values,
-        jacobian @ covariance @ jacobian.T,
+        spread,
         shared,
         f"transient passage, separable least squares: {fit.model}",
         by_number,
         dict(zip(TERMS, with_terms.T, strict=False)),
     )
+
+
+def sensors_apart_m(fit: RunUpFit, gain_std: tuple[float, float]) -> float:
+    """Half the difference of the eccentricities by both sensors, m; 0 if it is within their errors.
+
+    Both sensors measure the same eccentricity, each at its own resonance. If they contradict each other, the imbalance
+    changed between the resonances, or the model does not hold at one of them. The standard uncertainty of the mean of
+    two contradicting values by their own scatter is half their difference.
+    """
+    names = [f"amplitude_{axis}_m" for axis in "xy"]
+    if not all(name in fit.values for name in names):
+        return 0.0
+    at = [list(fit.values).index(name) for name in names]
+    x, y = (fit.values[name] for name in names)
+    own = fit.covariance[np.ix_(at, at)] + np.diag([(gain_std[0] * x) ** 2, (gain_std[1] * y) ** 2])
+    variance = float(own[0, 0] + own[1, 1] - 2 * own[0, 1])
+    return 0.5 * abs(x - y) if (x - y) ** 2 > _MAX_CHI2 * variance else 0.0
 
 
 def _imbalance_slopes(

@@ -1,4 +1,4 @@
-"""Slow roll, the displacement that turns with the shaft at any speed: run-out of the measured surface and a bent shaft.
+"""Motion once per turn besides the response to the imbalance: run-out, a bent shaft, a motion that grows with speed.
 
 Run-out r adds r e^{iψ}. A bow b turns the rest position of the springs with the shaft,
 
@@ -9,7 +9,9 @@ h + e^{iψ} = g is driven by ω² e^{iψ} + 2ζω d/dt e^{iψ}, hence g = h_b + 
 
     h_b = g − (2ζ/ω) (ġ + 2ζω h),    ḣ_b = ġ + 2ζω h.
 
-The response to the bow thus follows from that to the imbalance. Source: docs/theory/run_up.md.
+The response to the bow thus follows from that to the imbalance. A force that is proportional to the square of the speed
+and acts far below a resonance adds a displacement g (−d²/dt² e^{iψ})/Ω², with Ω the fastest speed of the passage: the
+tilt of the disk by a couple unbalance, or a stand of the lasers that moves. Source: docs/theory/run_up.md.
 """
 
 from __future__ import annotations
@@ -31,12 +33,14 @@ class PhasorMeans:
         rate: its rate, 1/s.
         when_s: times of the blocks, s.
         flat: ratio of the block mean of a quantity that turns with ψ to its value at the middle.
+        grown: mean of −d²/dt² e^{iψ} over each block, over the square of the fastest speed.
     """
 
     phasor: Complex
     rate: Complex
     when_s: Array
     flat: Array
+    grown: Complex
 
 
 def turning(drive: Excitation, when_s: Array, spread_s2: Array) -> PhasorMeans:
@@ -49,7 +53,8 @@ def turning(drive: Excitation, when_s: Array, spread_s2: Array) -> PhasorMeans:
     psi, speed, acceleration = drive.history.phase(when_s).T
     p = np.exp(1j * psi)
     flat = 1 - 0.5 * spread_s2 * speed**2
-    return PhasorMeans(p * (flat + 0.5j * spread_s2 * acceleration), 1j * speed * p, when_s, flat)
+    grown = (speed**2 - 1j * acceleration) / drive.top_rad_s**2 * p * flat
+    return PhasorMeans(p * (flat + 0.5j * spread_s2 * acceleration), 1j * speed * p, when_s, flat, grown)
 
 
 @dataclass(frozen=True)

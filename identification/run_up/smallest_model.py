@@ -9,7 +9,7 @@ from identification.least_squares import Solution
 from identification.run_up.choice import ModelSelection
 from identification.run_up.design import Design, design_at
 from identification.run_up.model import RunUpRecord
-from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choice
+from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choice, words
 
 
 def smallest_adequate(
@@ -22,7 +22,8 @@ def smallest_adequate(
 ) -> tuple[Solution, Design, ModelSelection, Doubt | None]:
     """Find the smallest adequate model.
 
-    The slow roll is tried before the other rungs if it gains more than they do.
+    The slow roll is tried before the other rungs if it gains more than they do, and again after them: a slow roll that
+    stood in for another rung (a lag of the sensors) is not needed next to it.
 
     Args:
         record: record of the passage.
@@ -33,33 +34,32 @@ def smallest_adequate(
     Returns:
         Solution, linearisation and comparison of the model, and a model that is not excluded instead, or None.
     """
+
+    def with_rungs() -> tuple[Solution, Design]:
+        phi = comparison.structure.project(design.structure.theta(solution.minimum.theta))
+        wider = solve(comparison.structure, phi)
+        return wider, design_at(record, comparison.structure, wider.minimum.theta)
+
     comparison = compared(design)
     if not slow_roll:
         if comparison.structure is not design.structure:
-            phi = comparison.structure.project(design.structure.theta(solution.minimum.theta))
-            solution = solve(comparison.structure, phi)
-            design = design_at(record, comparison.structure, solution.minimum.theta)
+            solution, design = with_rungs()
         return solution, design, comparison, None
     found = slow_roll_choice(record, design, solution, solve, comparison.gained)
     if found.structure is not design.structure:
         solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
         comparison = compared(design)
     if comparison.structure is not design.structure:
-        phi = comparison.structure.project(design.structure.theta(solution.minimum.theta))
-        solution = solve(comparison.structure, phi)
-        design = design_at(record, comparison.structure, solution.minimum.theta)
-        if not (design.structure.run_out or design.structure.bow):
-            found = slow_roll_choice(record, design, solution, solve)
-            if found.structure is not design.structure:
-                solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
-    there = design.structure
-    words = [word for word, has in (("run-out", there.run_out), ("bow", there.bow)) if has]
+        solution, design = with_rungs()
+        found = slow_roll_choice(record, design, solution, solve)
+        if found.structure is not design.structure:
+            solution, design = found.solution, design_at(record, found.structure, found.solution.minimum.theta)
     return (
         solution,
         design,
         replace(
             comparison,
-            model=", ".join([comparison.model, *words]),
+            model=", ".join([comparison.model, *words(design.structure.turning)]),
             table=comparison.table + found.table,
             warnings=comparison.warnings + found.warnings,
         ),

@@ -208,6 +208,18 @@ def test_a_cause_that_cannot_be_below_zero_counts_on_its_own_side_only() -> None
     assert np.mean(np.maximum(drawn[:, 0], abs(drawn[:, 1])) > limit) == pytest.approx(CAUSES_LEVEL, abs=0.004)
 
 
+@pytest.mark.parametrize(("size", "offered"), [(-0.5, True), (-4.21, False), (4.21, True)])
+def test_a_cause_that_leaves_nothing_of_a_length_is_not_offered(size: float, offered: bool) -> None:
+    """A pendulum cannot be 421 % shorter than it is, by itself or next to another cause."""
+    values = np.array([4.0, 1.6, -2.0])
+    length = Cause("pendulums.a.length_m", "the length of pendulum A", 1.0, 1e-3, values / size, "%", 100.0, "")
+    other = Cause("bow along", "a bow", math.nan, 1.0, np.array([0.0, 0.0, 1.0]), "µm", 1e6, "")
+    found = explanations(rows_of(values.tolist()), (length, other))
+    shown = [cause.name for each in (*found.singles, *found.pairs) for cause in each.causes]
+    assert (length.name in shown) == offered
+    assert any("length of pendulum A" in sentence for sentence in found.sentences) == offered
+
+
 def test_an_error_that_both_sides_share_counts_once() -> None:
     """Two rows that one error moves alike: their difference stays as sharp as each row is by itself."""
     rows = (("A", "θ3"), ("B", "θ3"))

@@ -93,8 +93,7 @@ def test_run_out_is_found_and_named() -> None:
     assert "bow_x_m" not in fit.values
     assert [w for w in fit.warnings if w.startswith("run-out: the sensors show ")] == fit.warnings
     assert fit.model.endswith("run-out")
-    assert {row.name: row.chosen for row in fit.model_table if "out" in row.name or "bow" in row.name} == {
-        "offset without slope": True,
+    assert {row.name: row.chosen for row in fit.model_table if row.name in ("run-out", "bow", "run-out and bow")} == {
         "run-out": True,
         "bow": False,
         "run-out and bow": False,
