@@ -16,6 +16,7 @@ from typing import Any
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import LINE_S
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
@@ -147,7 +148,7 @@ class Core:
         self._known = devices_of(rig.devices)
         self.recent: Recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
         self.rates: RateWatches = RateWatches(rig.devices, patience)
-        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, driving=driving)
+        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, LeastMotion.of(rig), driving=driving)
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
         self.trouble: Exception | None = None

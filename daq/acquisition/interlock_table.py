@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from daq.acquisition.exceedance import TOGETHER
+from daq.acquisition.least_motion import MOMENT_SHARE, RUN_OUT_M
+from daq.acquisition.motion_watch import BEATS, STUCK_M, TURNS, WINDOW_S
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
 from daq.acquisition.stuck_watch import STILL_S, SWING_M
 from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
@@ -135,6 +137,15 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"one reading for {STILL_S:g} s while the other direction moves {SWING_M * 1e6:g} µm",
         "constant",
         f"{STILL_S:g} s of samples",
+        role=DisplacementSensor.role,
+    )
+    yield Interlock(
+        "no motion",
+        "displacement",
+        f"less than the rig file's unbalance implies: {MOMENT_SHARE:g} of it, less {RUN_OUT_M * 1e6:g} µm; "
+        f"a constant reading: ± {STUCK_M * 1e6:g} µm implied",
+        "rig file, constant",
+        f"{WINDOW_S:g} s, {TURNS:g} turn, {BEATS:g} beats",
         role=DisplacementSensor.role,
     )
 

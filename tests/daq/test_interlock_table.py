@@ -43,6 +43,11 @@ def swings_out_of_sight(bench: Bench) -> None:
     bench.fails("laser_x", "code", 262076)
 
 
+def hangs_with_its_neighbour(bench: Bench) -> None:
+    for laser in ("laser_x", "laser_y"):
+        bench.fails(laser, "code", 33_000)
+
+
 def nothing(bench: Bench) -> None:
     """Do nothing: the limit is exceeded without a fault."""
 
@@ -52,6 +57,7 @@ SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
     "out of sight": (swings_out_of_sight, ()),
     "blind sensor": (fails("laser_y", "code", 262076), ()),
     "stuck sensor": (fails("laser_x", "code", 33_000), ()),
+    "no motion": (hangs_with_its_neighbour, ()),
     "silent displacement": (mutes("laser_x"), ()),
     "silent angles": (fails("encoder", "dead"), ()),
     "silent speed": (fails("drive", "silent reports"), ()),
