@@ -66,6 +66,7 @@ def refuse_unseen_locks(roles: Roles, source: str = "") -> None:
     place = f"{source}: " if source else ""
     measured = "no device measures the angles" if angles is None else f"{angles.device} measures the angles"
     raise RigFileError(
-        f"{place}devices.{locks.device} moves the locks and reports their state with its angles, but {measured}: no test "
-        f"could see them close. Set devices.{locks.device}.angles = true, or .locks = false to lock the pendulums by hand"
+        f"{place}devices.{locks.device} moves the locks and reports their state with its angles, but {measured}: no "
+        f"test could see them close. Set devices.{locks.device}.angles = true, or locks = false to lock the pendulums "
+        "by hand"
     )

@@ -13,6 +13,7 @@ from typing import Literal
 
 from daq.acquisition.exceedance import TOGETHER
 from daq.acquisition.least_motion import MOMENT_SHARE, RUN_OUT_M
+from daq.acquisition.locked_watch import MOVED_S, SETTLE_S
 from daq.acquisition.motion_watch import BEATS, STUCK_M, TURNS, WINDOW_S
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
 from daq.acquisition.stuck_watch import STILL_S, SWING_M
@@ -176,6 +177,14 @@ def _pendulum_rows() -> Iterator[Interlock]:
         "constant",
         f"{FAULTY_S:g} s of samples",
         role=PendulumAngles.role,
+    )
+    yield Interlock(
+        "loose lock",
+        "angles of pendulums in closed locks",
+        "moves by more than 1° and 5 standard uncertainties of the encoder's zero",
+        "constant",
+        f"{MOVED_S:g} s of samples, from {SETTLE_S:g} s after the lock closed",
+        role=PendulumLocks.role,
     )
     yield Interlock(
         "lock fault",

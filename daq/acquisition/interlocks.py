@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,6 +33,7 @@ from daq.acquisition.interlock_table import (
     SPEED_S,
 )
 from daq.acquisition.least_motion import LeastMotion
+from daq.acquisition.locked_watch import LockedWatch
 from daq.acquisition.motion_watch import MotionWatch
 from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
@@ -162,6 +163,7 @@ class Interlocks:
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
         self._motion = MotionWatch(roles.displacements, least)
+        self._locked = LockedWatch(roles.zero_std_deg)
         self._seen_m = dict.fromkeys(self._lasers, 0.0)
         self._code = dict.fromkeys(self._lasers, 0)
         self._blind = dict.fromkeys(self._lasers, False)
@@ -194,6 +196,11 @@ class Interlocks:
         """Set the channels that the running test needs even at rest."""
         with self._lock:
             self._needed = frozenset(topics)
+
+    def counters_set(self) -> None:
+        """Register that the pendulums' counters are being set, so that their angles may jump."""
+        with self._lock:
+            self._locked.restart()
 
     def commanded(self, rpm: float) -> None:
         """Register a commanded speed, of the drive or of the operator's hand."""
@@ -402,7 +409,7 @@ class Interlocks:
         self.rotor.node_heard(host_ns)
         self._motion.angles(float(batch.columns["theta3_rad"][-1]), float(batch.columns["theta4_rad"][-1]))
         flags = batch.columns["flags"]
-        out: list[DeviceEvent | Stop] = []
+        out: list[DeviceEvent | Stop] = [*self._slips(batch)]
         first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
         faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
         self._faulty_samples += faulty
@@ -417,6 +424,16 @@ class Interlocks:
                 facts = {"of": self._device_of[batch.channel.topic], "channel": batch.channel.topic, "flag": bit}
                 out.append(DeviceEvent("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
         return out
+
+    def _slips(self, batch: Batch) -> Iterator[DeviceEvent | Stop]:
+        """Evaluate the angles of pendulums in closed locks."""
+        angles = (batch.columns["theta3_rad"], batch.columns["theta4_rad"])
+        for pendulum, text in self._locked.feed(batch.time_ns, angles, batch.columns["flags"]):
+            device = self._device_of[batch.channel.topic]
+            facts = {"of": device, "channel": batch.channel.topic, "pendulum": pendulum}
+            yield DeviceEvent("encoder", HOST, f"pendulums: {text}", facts)
+            if self._driving:
+                yield Stop("device", f"{device}: {text}", "loose lock")
 
     def _wrong(self, why: Finding | None) -> list[Stop]:
         return [Stop("procedure", why.text, why.interlock)] if why is not None and self._driving else []

@@ -623,7 +623,9 @@ class Session:
         """
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
+        self._core.interlocks.counters_set()
         self._command.locks.command(action, self.check)
+        self._core.interlocks.counters_set()  # an angle between the two may still be the old one
 
 
 def _not_at_rest(at_rest: bool | None) -> str:

@@ -48,6 +48,10 @@ def hangs_with_its_neighbour(bench: Bench) -> None:
         bench.fails(laser, "code", 33_000)
 
 
+def slips_in_its_lock(bench: Bench) -> None:
+    bench.node._offset_counts[0] += 8.0 / 360.0 * bench.rig.devices["encoder"].counts_per_revolution
+
+
 def nothing(bench: Bench) -> None:
     """Do nothing: the limit is exceeded without a fault."""
 
@@ -63,6 +67,7 @@ SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
     "silent speed": (fails("drive", "silent reports"), ()),
     "no index mark": (fails("encoder", "marks lost"), ()),
     "encoder fault": (fails("encoder", "flags", 2), ()),
+    "loose lock": (slips_in_its_lock, ()),
     "lock fault": (lambda bench: bench._hear("encoder", bench.node._lock_event(bench.now_s, 1, 3, 7) or b""), ()),
     "overspeed": (nothing, ("limits.speed_rpm=500",)),
     "runaway": (fails("drive", "speed", 1100), ()),
