@@ -489,6 +489,10 @@ class Session:
         """Return the measured speed, rpm: by the index marks if the rig has them, else by the drive; NaN if unknown."""
         return self._core.interlocks.measured_rpm(self.clock.now_ns())
 
+    def host_words(self) -> str:
+        """Return a sentence about the host if it was late recently; empty if not."""
+        return self._core.host.words(self.clock.now_ns())
+
     def rotor_words(self) -> str:
         """Return the state of the rotor's speed for a message."""
         return self._core.interlocks.rotor_words(self.clock.now_ns())
@@ -581,8 +585,8 @@ class Session:
         while not (rest := self.rotor_at_rest()):
             self.check()
             if self.clock.wall_s() > deadline:
-                text = f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor"
-                raise DeviceError(text)
+                advice = self.host_words() or "Look at drive and rotor"
+                raise DeviceError(f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. {advice}")
             self.clock.wait(0.003)
 
     def _stalled_s(self) -> float:

@@ -97,7 +97,7 @@ def speeds_of(view: StateView) -> tuple[float, ...]:
 
 def speed_advice(view: StateView) -> str:
     """Return where to look if the drive has not brought the rotor to the speed, as the end of a sentence."""
-    return f". {view.measures.speed_doubt() or 'Look at the drive'}"
+    return f". {view.measures.speed_doubt() or view.measures.host_doubt() or 'Look at the drive'}"
 
 
 def near_resonance(rig: Rig, rpm: float) -> str:

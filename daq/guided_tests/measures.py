@@ -71,6 +71,10 @@ class Measures:
         _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
         return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
 
+    def host_doubt(self) -> str:
+        """Return a sentence about the host if it was late recently; empty if not."""
+        return self._s.host_words()
+
     def speed_doubt(self, seconds: float = _COMPARED_S) -> str:
         """Return in words how drive and index marks disagree over the newest stretch; empty if they do not."""
         found = recent_agreement(self._s.recent, self._s.rig.roles, self.since(seconds))

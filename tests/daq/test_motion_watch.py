@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -14,8 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from daq import open_log
 from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.motion_watch import MotionWatch
+from daq.errors import DeviceError
+from daq.lockstep import Rehearsal
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
@@ -151,6 +155,18 @@ def test_pendulums_without_encoders_imply_only_what_they_cannot_balance() -> Non
     both = sum(each.mass_kg * each.length_m for each in (by_hand.physics.a, by_hand.physics.b))
     assert LeastMotion.of(by_hand).moment_kg_m == pytest.approx(0.02117)
     assert LeastMotion.of(cast(Rig, unseen)).moment_kg_m == pytest.approx(0.02117 - both)
+
+
+def test_a_run_up_with_hung_lasers_ends_before_the_first_resonance(tmp_path: Path) -> None:
+    """The whole way of a session: far ends, drivers, interlocks, the stop of the drive."""
+    with pytest.raises(DeviceError, match="laser/x: moves by"), Rehearsal("virtual", tmp_path) as rig:
+        for laser in ("laser_x", "laser_y"):
+            rig._far.ask("fail", device=laser, what="code", value=33_000)
+        rig.record("run-up", top_rpm=400.0, duration_s=16.0)
+    (log,) = tmp_path.glob("*.mcap")
+    with open_log(log) as opened:
+        assert float(opened["motor"].speed_rpm.max()) < 180.0
+        assert [event["interlocks"] for event in opened.events if event["kind"] == "trip"] == [["no motion"]]
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 30.0, 90.0])
