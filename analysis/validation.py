@@ -33,12 +33,15 @@ from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
 from analysis.term_errors import effects
 from daq.guided_test_kinds import point_of
 from daq.signals.run import Run
+from daq.signals.speed_agreement import SPEED_TOLERANCE
 from daq.signals.threads import on_one_thread
+from rig_basics.units import RPM
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as
 from rig_configs.known import assumed_remarks
 from rig_configs.parameters_file import filled_remarks
 
+_SPEED_STDS = 3.0  # of the measured speed, beyond the tolerance of the requested one
 _READINGS: Mapping[Reading, str] = {
     "drag": "by the releases, what a spin-down shows to grow with the square of the speed is the drag of the air",
     "contact": "by the releases, what a spin-down shows to grow with the square of the speed is dry friction with the "
@@ -260,6 +263,10 @@ def validate_point(
     prediction, trouble = _predict(rig, identified, measured, axis_angle_deg)
     if prediction is not None and prediction.held is not None:
         measured = _held(run, rig, identified, measured, prediction)
+    if wrong_speed := _wrong_speed(run, measured):  # another steady state than the one that was to be tested
+        return PointResult(
+            name, expected, measured.state, measured, prediction, {}, "fail", wrong_speed, run.source, wrong_speed
+        )
     scores = scores_of(measured, prediction, rig) if prediction and measured.state in ("I", "II", "III") else {}
     verdict, why = _judge(measured, prediction, trouble, expected, scores)
     because = ""
@@ -268,6 +275,17 @@ def validate_point(
         because = blamed_on_bow(identified.applied_to(rig.physics), measured.speed_rad_s.value, state)
         why = f"{why}; {because}" if because else why
     return PointResult(name, expected, measured.state, measured, prediction, scores, verdict, why, run.source, because)
+
+
+def _wrong_speed(run: Run, measured: SteadyMeasurement) -> str:
+    """Return how the measured speed contradicts the requested one or the drive's; empty if it does not."""
+    if run.speed is not None and not run.speed.agrees:
+        return run.speed.words
+    asked_rpm, rpm, std_rpm = _asked_rpm(run), measured.speed_rad_s.value / RPM, measured.speed_rad_s.std / RPM
+    share, more = SPEED_TOLERANCE
+    if not asked_rpm or abs(rpm - asked_rpm) <= share * asked_rpm + more + _SPEED_STDS * std_rpm:
+        return ""
+    return f"the rotor turned at {rpm:.0f} rpm by the index marks, {asked_rpm:.0f} rpm were requested. Repeat the test"
 
 
 def _same_as(expected: str | None, measured: SteadyMeasurement, prediction: Prediction | None) -> bool:

@@ -26,6 +26,7 @@ from benchmarks.can_frames import drive_frames, slcan_reads
 from benchmarks.laser_samples import RATE_HZ, START_NS, laser_reads
 from daq import channels
 from daq.acquisition.interlocks import Interlocks
+from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.drivers.cia402 import wire as cia402
@@ -61,7 +62,7 @@ def ours(path: Path, reads: Reads) -> int:
         "drive": DrivePipeline("drive", d["drive"]),
     }
     rates, recent = RateWatches(d), Recent(90.0)
-    interlocks = Interlocks(rig.limits, rig.roles, lambda wall_s: wall_s, driving=True)
+    interlocks = Interlocks(rig.limits, rig.roles, lambda wall_s: wall_s, LeastMotion.of(rig), driving=True)
     interlocks.begin(START_NS)
     interlocks.commanded(600.0)
     flush = tick = START_NS

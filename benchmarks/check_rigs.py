@@ -127,7 +127,7 @@ def failed_checks(name: str, seed: int, fault: Fault | None) -> dict[str, str]:
             for device, checks in tap_test(session, lambda text: _tap(far, text[-1], rng)).items():
                 found[device] |= checks
     each = [(f"{device} {what}", one) for device, checks in found.items() for what, one in checks.items()]
-    return {what: one.note for what, one in each if not one.passed}
+    return {what: one.note for what, one in each if one.failed}
 
 
 def _tap(far: LockstepRig, axis: str, rng: np.random.Generator) -> None:

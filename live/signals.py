@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.rotor_watch import RADIO_S, TURNS_UNSEEN
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B, LOCKS_CLOSED, suspects
 from live.levels import KEPT, KEPT_SLOW, Levels
 from rig_basics.arrays import Array
@@ -18,6 +19,7 @@ from rig_configs.schema import Rig
 
 MM: Final = 1e3
 DEG: Final = 180 / math.pi
+_MAX_REPORT_AGE_S = 1.0
 
 
 class Signals:
@@ -105,12 +107,12 @@ class Signals:
         return max(levels.newest_s for levels in self.by_name.values())
 
     def rpm(self, at_s: float) -> float:
-        """Return the rotor's speed at an instant: of the drive, else of the index marks; NaN if both are old."""
-        for name, fresh_s in (("drive", 1.0), ("marks", 5.0)):
-            levels = self.by_name[name]
-            if at_s - levels.until(at_s) < fresh_s:
-                return levels.last(at_s)
-        return math.nan
+        """Return the rotor's speed at an instant, rpm: by the index marks, after they ceased by the drive; or NaN."""
+        marks, drive = self.by_name["marks"], self.by_name["drive"]
+        by_marks, age_s = marks.last(at_s), at_s - marks.until(at_s)
+        if age_s <= TURNS_UNSEEN * 60.0 / by_marks + RADIO_S:  # False for NaN
+            return by_marks
+        return drive.last(at_s) if at_s - drive.until(at_s) < _MAX_REPORT_AGE_S else math.nan
 
     def locked(self, at_s: float) -> bool | None:
         """Whether both pendulums are locked, by their encoders' flags; None if unknown."""

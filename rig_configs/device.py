@@ -227,7 +227,7 @@ class RotorNodeSettings(DeviceSettings):
         index_marks: whether its index marks are the rig's rotor phase. If not, they are ignored: another device marks
             the rotor's phase, or the node has no index sensor.
         angles: whether its encoders measure the pendulums' angles for the rig. Otherwise another device does, and only
-            the index marks (and locks) of this node are used.
+            the index marks of this node are used; its locks need `locks = false`, as their state comes with its angles.
     """
 
     calibration: ClassVar[tuple[str, ...]] = (

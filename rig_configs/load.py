@@ -20,7 +20,7 @@ from rig_configs.drag import Drag
 from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
-from rig_configs.ports import refuse_shared_ports
+from rig_configs.ports import refuse_shared_ports, refuse_unseen_locks
 from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
 
@@ -74,6 +74,7 @@ def rig_from_text(
     _read_files(raw, source)
     rig = validate(raw, source)
     refuse_shared_ports(rig.devices, source)  # not in the schema, because the rig of a log opens no port
+    refuse_unseen_locks(rig.roles, source)
     return rig
 
 

@@ -1,4 +1,4 @@
-"""Ports of a rig file: placeholders, and ports of two devices that are equal."""
+"""Refusals of a rig file that opens devices: ports of two devices that are equal, locks whose state nothing reports."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from rig_configs.device import DeviceSettings
 from rig_configs.errors import RigFileError
+from rig_configs.roles import Roles
 
 PRINTED = "printed by `rig virtual`"
 """The port of every device in the shipped rig files."""
@@ -47,3 +48,25 @@ def refuse_shared_ports(devices: Mapping[str, DeviceSettings], source: str = "")
                 "device. Give each the port that it is plugged into; several devices behind one CAN adapter need a "
                 "network interface (can:socketcan:…)"
             )
+
+
+def refuse_unseen_locks(roles: Roles, source: str = "") -> None:
+    """Check that the device that moves the locks also reports their state, with its samples of the pendulums' angles.
+
+    Args:
+        roles: roles of a rig file's devices.
+        source: file, for the message.
+
+    Raises:
+        RigFileError: names the device and what to set.
+    """
+    locks, angles = roles.locks, roles.angles
+    if locks is None or (angles is not None and angles.device == locks.device):
+        return
+    place = f"{source}: " if source else ""
+    measured = "no device measures the angles" if angles is None else f"{angles.device} measures the angles"
+    raise RigFileError(
+        f"{place}devices.{locks.device} moves the locks and reports their state with its angles, but {measured}: no "
+        f"test could see them close. Set devices.{locks.device}.angles = true, or locks = false to lock the pendulums "
+        "by hand"
+    )

@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from daq.acquisition.channel_watch import HOST
-from daq.acquisition.interlock_table import LINE_S
+from daq.acquisition.host_load import HostLoad
+from daq.acquisition.interlock_table import LINE_S, LOOK_S
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
@@ -140,6 +142,7 @@ class Core:
         gone: reason of the lost link, by device.
         mute: devices that have an open link and have sent nothing for `LINE_S`.
         trips: findings of the interlocks in the log that is being recorded.
+        host: lateness of the host.
     """
 
     def __init__(self, rig: Rig, patience: Callable[[float], float], *, driving: bool) -> None:
@@ -147,7 +150,8 @@ class Core:
         self._known = devices_of(rig.devices)
         self.recent: Recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
         self.rates: RateWatches = RateWatches(rig.devices, patience)
-        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, driving=driving)
+        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, LeastMotion.of(rig), driving=driving)
+        self.host: HostLoad = HostLoad(LOOK_S, patience)
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
         self.trouble: Exception | None = None
@@ -396,6 +400,7 @@ class Core:
             disk: state of the disk; None if no log is recorded.
             disk_trouble: error that ends the recording; None if there is none.
         """
+        self.host.tick(now_ns)
         yield from self._act_on(self.interlocks.tick(now_ns), now_ns)
         for event in self.trips.tick(now_ns, self.recent):
             yield Note(event, now_ns)
@@ -430,15 +435,13 @@ class Core:
             self._dropped_ns = now_ns
             yield StopRotor()
         if drive.why or now_ns - self._dropped_ns > self._patience(_MAX_REASON_DELAY_S) * 1e9:
-            yield from self.fail(self.dropped_out(drive), now_ns)
+            yield from self.fail(self.dropped_out(drive, self.host.words(now_ns)), now_ns)
 
     @staticmethod
-    def dropped_out(drive: DriveState) -> ProcedureError:
-        """Return the error of a run whose drive left operation without a command."""
-        return ProcedureError(
-            f"the drive entered {drive.dropped_out} without a command{drive.why}. Look at the events of the log and at "
-            "the drive, then repeat the test"
-        )
+    def dropped_out(drive: DriveState, host: str) -> ProcedureError:
+        """Return the error of a run whose drive left operation without a command; `host` is what the host explains."""
+        advice = host or "Look at the events of the log and at the drive, then repeat the test"
+        return ProcedureError(f"the drive entered {drive.dropped_out} without a command{drive.why}. {advice}")
 
     def _disk_event(self, disk: DiskState, now_ns: int) -> Note:
         self._disk_slow = disk.slow

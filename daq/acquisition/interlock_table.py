@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from daq.acquisition.exceedance import TOGETHER
+from daq.acquisition.least_motion import MOMENT_SHARE, RUN_OUT_M
+from daq.acquisition.locked_watch import MOVED_S, SETTLE_S
+from daq.acquisition.motion_watch import BEATS, STUCK_M, TURNS, WINDOW_S
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
 from daq.acquisition.stuck_watch import STILL_S, SWING_M
 from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
@@ -137,6 +140,15 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"{STILL_S:g} s of samples",
         role=DisplacementSensor.role,
     )
+    yield Interlock(
+        "no motion",
+        "displacement",
+        f"less than the rig file's unbalance implies: {MOMENT_SHARE:g} of it, less {RUN_OUT_M * 1e6:g} µm; "
+        f"a constant reading: ± {STUCK_M * 1e6:g} µm implied",
+        "rig file, constant",
+        f"{WINDOW_S:g} s, {TURNS:g} turn, {BEATS:g} beats",
+        role=DisplacementSensor.role,
+    )
 
 
 def _silence_rows() -> Iterator[Interlock]:
@@ -165,6 +177,14 @@ def _pendulum_rows() -> Iterator[Interlock]:
         "constant",
         f"{FAULTY_S:g} s of samples",
         role=PendulumAngles.role,
+    )
+    yield Interlock(
+        "loose lock",
+        "angles of pendulums in closed locks",
+        "moves by more than 1° and 5 standard uncertainties of the encoder's zero",
+        "constant",
+        f"{MOVED_S:g} s of samples, from {SETTLE_S:g} s after the lock closed",
+        role=PendulumLocks.role,
     )
     yield Interlock(
         "lock fault",

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,6 +32,9 @@ from daq.acquisition.interlock_table import (
     LARGE,
     SPEED_S,
 )
+from daq.acquisition.least_motion import LeastMotion
+from daq.acquisition.locked_watch import LockedWatch
+from daq.acquisition.motion_watch import MotionWatch
 from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
@@ -123,6 +126,7 @@ class Interlocks:
         limits: limits of the rig file.
         roles: roles of the rig's devices. Interlocks of missing roles are inactive.
         patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
+        least: least motion of the turning rotor by the rig file's numbers.
         driving: whether this session may turn the rotor. Sessions that only receive stop nothing.
 
     Attributes:
@@ -131,7 +135,9 @@ class Interlocks:
         resting: whether the rotor was at rest at the last tick and no speed has been commanded since.
     """
 
-    def __init__(self, limits: Limits, roles: Roles, patience: Callable[[float], float], *, driving: bool) -> None:
+    def __init__(
+        self, limits: Limits, roles: Roles, patience: Callable[[float], float], least: LeastMotion, *, driving: bool
+    ) -> None:
         self._limits, self._driving = limits, driving
         self._device_of = roles.device_of
         self._lasers = tuple(sensor.topic for sensor in roles.displacements)
@@ -156,6 +162,8 @@ class Interlocks:
         self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
+        self._motion = MotionWatch(roles.displacements, least)
+        self._locked = LockedWatch(roles.zero_std_deg)
         self._seen_m = dict.fromkeys(self._lasers, 0.0)
         self._code = dict.fromkeys(self._lasers, 0)
         self._blind = dict.fromkeys(self._lasers, False)
@@ -188,6 +196,11 @@ class Interlocks:
         """Set the channels that the running test needs even at rest."""
         with self._lock:
             self._needed = frozenset(topics)
+
+    def counters_set(self) -> None:
+        """Register that the pendulums' counters are being set, so that their angles may jump."""
+        with self._lock:
+            self._locked.restart()
 
     def commanded(self, rpm: float) -> None:
         """Register a commanded speed, of the drive or of the operator's hand."""
@@ -248,6 +261,10 @@ class Interlocks:
             elif not turning:
                 out += self.channels.excuse(self._marks, now_ns)
                 self.rotor.reset_turns()
+            if not turning:
+                self._motion.clear()
+            elif (missing := self._motion.tick(now_ns, self.measured_rpm(now_ns))) is not None:
+                out.append(Stop("device", missing, "no motion"))
             if not self._driving:
                 return [item for item in out if isinstance(item, DeviceEvent)]
             out += self._silent(now_ns, turning)
@@ -280,6 +297,11 @@ class Interlocks:
         """Return the speed of the rotor, rpm; see RotorWatch."""
         with self._lock:
             return self.rotor.speed_rpm(now_ns)
+
+    def measured_rpm(self, now_ns: int) -> float:
+        """Return the measured speed, rpm: by the index marks if the rig has them, else by the drive; NaN if unknown."""
+        with self._lock:
+            return self.rotor.measured_rpm(now_ns) if self._marks else abs(self.rotor.drive_rpm(now_ns))
 
     def rotor_words(self, now_ns: int) -> str:
         """Return the state of the rotor's speed as text; see RotorWatch."""
@@ -356,6 +378,7 @@ class Interlocks:
         out: list[DeviceEvent | Stop] = [*self._blindness(topic, blind)]
         gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
         stuck = self._stuck.feed(topic, batch.time_ns, displacement)
+        self._motion.feed(topic, host_ns, displacement)
         if not (blind or gone or beyond_m is not None or stuck is not None) or not self._driving:
             return out
         if not self.turning(host_ns):
@@ -382,10 +405,11 @@ class Interlocks:
         return [DeviceEvent("blind", HOST, f"{topic}: {words}", facts)]
 
     def _pendulums(self, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
-        """Evaluate pendulum angles: encoder faults."""
+        """Evaluate pendulum angles: encoder faults, and where the pendulums stand for the least motion."""
         self.rotor.node_heard(host_ns)
+        self._motion.angles(float(batch.columns["theta3_rad"][-1]), float(batch.columns["theta4_rad"][-1]))
         flags = batch.columns["flags"]
-        out: list[DeviceEvent | Stop] = []
+        out: list[DeviceEvent | Stop] = [*self._slips(batch)]
         first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
         faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
         self._faulty_samples += faulty
@@ -400,6 +424,16 @@ class Interlocks:
                 facts = {"of": self._device_of[batch.channel.topic], "channel": batch.channel.topic, "flag": bit}
                 out.append(DeviceEvent("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
         return out
+
+    def _slips(self, batch: Batch) -> Iterator[DeviceEvent | Stop]:
+        """Evaluate the angles of pendulums in closed locks."""
+        angles = (batch.columns["theta3_rad"], batch.columns["theta4_rad"])
+        for pendulum, text in self._locked.feed(batch.time_ns, angles, batch.columns["flags"]):
+            device = self._device_of[batch.channel.topic]
+            facts = {"of": device, "channel": batch.channel.topic, "pendulum": pendulum}
+            yield DeviceEvent("encoder", HOST, f"pendulums: {text}", facts)
+            if self._driving:
+                yield Stop("device", f"{device}: {text}", "loose lock")
 
     def _wrong(self, why: Finding | None) -> list[Stop]:
         return [Stop("procedure", why.text, why.interlock)] if why is not None and self._driving else []

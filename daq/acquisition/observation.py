@@ -7,7 +7,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from daq.acquisition.device_check import ObservedAngles, ObservedDisplacement, ObservedSpeed, RigObservation
+from daq.acquisition.device_check import ObservedAngles, ObservedSpeed, RigObservation
+from daq.acquisition.displacement_check import ObservedDisplacement
+from daq.acquisition.recent_speed import recent_agreement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import MeasuresTimeOut, SendsByRadio, TimeOut
@@ -70,6 +72,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
             name for name, each in devices_of(session.rig.devices).items() if isinstance(each.driver, SendsByRadio)
         ),
         rotor_rpm=session.rotor_rpm(),
+        speeds=recent_agreement(session.recent, roles, started),
     )
 
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.compiled import compile_acquisition
 from daq.acquisition.core import Core, Happened, Keep, Note, Order, StopRotor, Warn, WriteHealth
 from daq.acquisition.edge import Edge, real_edge
-from daq.acquisition.exceedance import compile_look
 from daq.acquisition.interlock_table import LOOK_S
 from daq.acquisition.links import Links
 from daq.acquisition.rate_watch import RateWatches
@@ -25,7 +25,6 @@ from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session_log import SessionLog, keep
-from daq.clock import compile_line
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DescribesItself, SpeedControl, StatesClockError
 from daq.drivers.devices import devices_of
@@ -141,8 +140,7 @@ class Session:
 
     def _open_links(self) -> Links:
         keep_heap_whole()
-        compile_look()
-        compile_line()
+        compile_acquisition()
         links = Links(
             self._known, self.clock, self._edge, self._core, self.identities, self._on_bytes, self._on_link_lost
         )
@@ -488,8 +486,12 @@ class Session:
         return self._core.interlocks.turning(self.clock.now_ns())
 
     def rotor_rpm(self) -> float:
-        """Return the rotor speed, rpm: the higher value of drive and index marks, NaN if unknown."""
-        return self._core.interlocks.speed_rpm(self.clock.now_ns())
+        """Return the measured speed, rpm: by the index marks if the rig has them, else by the drive; NaN if unknown."""
+        return self._core.interlocks.measured_rpm(self.clock.now_ns())
+
+    def host_words(self) -> str:
+        """Return a sentence about the host if it was late recently; empty if not."""
+        return self._core.host.words(self.clock.now_ns())
 
     def rotor_words(self) -> str:
         """Return the state of the rotor's speed for a message."""
@@ -583,8 +585,8 @@ class Session:
         while not (rest := self.rotor_at_rest()):
             self.check()
             if self.clock.wall_s() > deadline:
-                text = f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor"
-                raise DeviceError(text)
+                advice = self.host_words() or "Look at drive and rotor"
+                raise DeviceError(f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. {advice}")
             self.clock.wait(0.003)
 
     def _stalled_s(self) -> float:
@@ -625,7 +627,9 @@ class Session:
         """
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
+        self._core.interlocks.counters_set()
         self._command.locks.command(action, self.check)
+        self._core.interlocks.counters_set()  # an angle between the two may still be the old one
 
 
 def _not_at_rest(at_rest: bool | None) -> str:

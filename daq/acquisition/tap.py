@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.acquisition.device_check import ObservedDisplacement
+from daq.acquisition.displacement_check import ObservedDisplacement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.errors import AcquisitionError

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
 from daq.acquisition.recent import Recent
+from daq.acquisition.rotor_watch import TURNS_UNSEEN
 from daq.channels import Channel
 from daq.items import DeviceEvent
 from daq.log.outcome import TRIP
@@ -65,7 +66,7 @@ class Trips:
 
     Args:
         channels: channels of the excerpt.
-        roles: roles of the rig. The speed comes from the speed source, without one from the index marks.
+        roles: roles of the rig. The speed comes from the index marks, without them from the speed source.
         patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
@@ -132,20 +133,14 @@ class Trips:
         return DeviceEvent(TRIP, HOST, f"{', '.join(names)}: {'; also '.join(r.text for r in self.reasons)}", facts)
 
     def _speed_rpm(self, at_ns: int, recent: Recent) -> float | None:
-        """Return the last report of the speed source before the trip, or the speed between the last two index marks."""
+        """Return the speed between the last two index marks, unless they have ceased; then the drive's last report."""
         speed, phase = self._roles.speed, self._roles.phase
-        if speed is not None:
-            time_ns, (rpm,) = recent.last(speed.topic, ("speed_rpm",))
-            before = int(np.searchsorted(time_ns, at_ns, side="right"))
-            return _number(float(rpm[before - 1])) if before else None
-        if phase is None:
-            return None
-        time_ns, (turns,) = recent.last(phase.topic, ("revolutions",))
+        by_marks = None if phase is None else _mark_rpm(*recent.last(phase.topic, ("revolutions",)), at_ns)
+        if by_marks is not None or speed is None:
+            return by_marks
+        time_ns, (rpm,) = recent.last(speed.topic, ("speed_rpm",))
         before = int(np.searchsorted(time_ns, at_ns, side="right"))
-        if before < 2 or time_ns[before - 1] == time_ns[before - 2]:
-            return None
-        turned = int(turns[before - 1]) - int(turns[before - 2])
-        return _number(60e9 * turned / float(time_ns[before - 1] - time_ns[before - 2]))
+        return _number(float(rpm[before - 1])) if before else None
 
     def _excerpt(self, first_ns: int, until_ns: int, recent: Recent) -> dict[str, dict[str, dict[str, list[Any]]]]:
         out: dict[str, dict[str, dict[str, list[Any]]]] = {}
@@ -158,6 +153,19 @@ class Trips:
                     for name, column in zip(channel.names, columns, strict=True)
                 }
         return out
+
+
+def _mark_rpm(time_ns: NDArray[np.int64], columns: list[NDArray[Any]], at_ns: int) -> float | None:
+    """Return the speed between the last two marks before an instant, rpm; None if they lie further back than that."""
+    (turns,) = columns
+    before = int(np.searchsorted(time_ns, at_ns, side="right"))
+    if before < 2:
+        return None
+    spent_ns = int(time_ns[before - 1] - time_ns[before - 2])
+    turned = int(turns[before - 1]) - int(turns[before - 2])
+    if spent_ns <= 0 or turned <= 0 or (at_ns - time_ns[before - 1]) * turned > TURNS_UNSEEN * spent_ns:
+        return None
+    return _number(60e9 * turned / spent_ns)
 
 
 def _series(time_ns: NDArray[np.int64], values: NDArray[Any], first_ns: int) -> dict[str, list[Any]]:

@@ -8,12 +8,14 @@ from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
 from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import State, StateObservation, StateTable, StateView
+from daq.signals.speed_agreement import SPEED_TOLERANCE
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _MAX_STATUS_S = 2.5  # wait for a device's description; it is sent every second, and one message may be lost
 _LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the counters are checked, rig s
 _SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, rig s
+_HELD_S = 1.0  # for which a speed must be held, so that a ramp that passes it does not count, rig s
 _BY_HAND_S = 240.0  # the same if a person turns the rotor, wall s
 _NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbit is several times as large
 
@@ -44,11 +46,16 @@ def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple
     ramp = HAND_RAMP_RPM_S if role is None else role.ramp_rpm_per_s
 
     def at_speed(view: StateView) -> StateObservation:
-        off = abs(view.rpm - rpm)
+        off = max(abs(speed - rpm) for speed in speeds_of(view))
         if math.isnan(view.rpm):
             return StateObservation(False, f"spinning up to {rpm:.0f} rpm: the speed is not measured yet")
+        since_ns = view.memory.get("at_speed_ns") or view.now_ns if off < speed_tolerance_rpm(rpm) else None
+        held = since_ns is not None and view.now_ns >= since_ns + _HELD_S * 1e9
         return StateObservation(
-            off < 0.01 * rpm + 2, f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm", share_of(view.rpm, rpm)
+            held and not view.measures.speed_doubt(),
+            f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm",
+            share_of(view.rpm, rpm),
+            store={"at_speed_ns": since_ns},
         )
 
     ready = State(
@@ -67,12 +74,30 @@ def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple
         limit_s=1.5 * rpm / ramp + (_SPIN_UP_S if role else _BY_HAND_S),
         wall=role is None,
         missed=lambda view: (
-            f"{rpm:.0f} rpm: {view.rpm:.0f} rpm after {view.in_state_s:.0f} s"
-            + ("" if role is None else ". Look at the drive")
+            f"{rpm:.0f} rpm: {view.rpm:.0f} rpm after {view.in_state_s:.0f} s" + (speed_advice(view) if role else "")
         ),
         no_pause="the rotor passes through resonances",
     )
     return ready, up
+
+
+def speed_tolerance_rpm(rpm: float) -> float:
+    """Return the deviation from a requested speed that counts as reached, rpm."""
+    share, more = SPEED_TOLERANCE
+    return share * rpm + more
+
+
+def speeds_of(view: StateView) -> tuple[float, ...]:
+    """Return the measured speed and the drive's report, if it has one, rpm.
+
+    Both must have reached a speed: on a ramp of a drive with a wrong setting, either of them passes it.
+    """
+    return (view.rpm,) if math.isnan(view.reported_rpm) else (view.rpm, abs(view.reported_rpm))
+
+
+def speed_advice(view: StateView) -> str:
+    """Return where to look if the drive has not brought the rotor to the speed, as the end of a sentence."""
+    return f". {view.measures.speed_doubt() or view.measures.host_doubt() or 'Look at the drive'}"
 
 
 def near_resonance(rig: Rig, rpm: float) -> str:

@@ -88,7 +88,12 @@ class RotorHand(Protocol):
 
     @property
     def speed_rpm(self) -> float:
-        """Present speed, rpm; NaN if unknown."""
+        """Present measured speed, rpm; NaN if unknown."""
+        ...
+
+    @property
+    def reported_rpm(self) -> float:
+        """Speed that the drive reports, rpm; NaN without a drive or a report."""
         ...
 
     def begin(self) -> str:
@@ -154,6 +159,11 @@ class DrivenRotor:
 
     @property
     def speed_rpm(self) -> float:
+        """See Rotor. The index marks decide, since a wrong setting of the drive scales command and report alike."""
+        return self._s.rotor_rpm()
+
+    @property
+    def reported_rpm(self) -> float:
         """See Rotor."""
         return self._s.drive.actual_rpm
 
@@ -198,6 +208,7 @@ class HandRotor:
     """
 
     ramp_rpm_per_s = HAND_RAMP_RPM_S
+    reported_rpm = math.nan
 
     def __init__(self, session: Session, operator: Operator, progress: Progress) -> None:
         self._s, self._operator, self._progress = session, operator, progress

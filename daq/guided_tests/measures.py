@@ -7,11 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.recent_speed import recent_agreement
 from daq.acquisition.session import Session
 from daq.signals.settling import DISPLACEMENTS_S, RotorSignals, Settling, SettlingLimits, locked_settled, settled
 from daq.signals.window_means import whole_revolutions
 from rig_basics.arrays import Array
 
+_COMPARED_S = 3.0  # of reports and index marks, rig s; five turns at 100 rpm
 ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
 """Fields of the pendulum angles A and B in their channel."""
 
@@ -68,6 +70,15 @@ class Measures:
         """Return the number of whole revolutions of the rotor since an instant, from its index marks."""
         _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
         return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
+
+    def host_doubt(self) -> str:
+        """Return a sentence about the host if it was late recently; empty if not."""
+        return self._s.host_words()
+
+    def speed_doubt(self, seconds: float = _COMPARED_S) -> str:
+        """Return in words how drive and index marks disagree over the newest stretch; empty if they do not."""
+        found = recent_agreement(self._s.recent, self._s.rig.roles, self.since(seconds))
+        return "" if found is None else found.words
 
     def turned_since(self, since_ns: int) -> tuple[Array, Array]:
         """Return the ranges of the pendulum angles since an instant, rad, and the top speeds, rad/s; shapes (2,)."""

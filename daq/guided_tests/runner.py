@@ -145,8 +145,10 @@ class Runner:
 
     def _view(self, entry_began_ns: int, entered_ns: int) -> StateView:
         orders = self._orders
-        now_ns = self._clock.now_ns()
-        return StateView(orders.measures, now_ns, entered_ns, entry_began_ns, orders.rotor.speed_rpm, orders.memory)
+        rotor, now_ns = orders.rotor, self._clock.now_ns()
+        return StateView(
+            orders.measures, now_ns, entered_ns, entry_began_ns, rotor.speed_rpm, orders.memory, rotor.reported_rpm
+        )
 
     def _late(self, state: State, view: StateView) -> StateOutcome:
         missed = state.missed(view)

@@ -14,6 +14,7 @@ The ending is the same for every test: it ends the log, brings the rotor to rest
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -48,8 +49,9 @@ class StateView:
         now_ns: host time, ns since 1970.
         entered_ns: host time at which the orders of the state had been carried out, ns since 1970.
         entry_began_ns: host time before the orders, ns since 1970. Actions of the operator count from here.
-        rpm: rotor speed, rpm; NaN if it is not measured.
+        rpm: measured rotor speed, rpm; NaN if it is not measured.
         memory: values that entries and earlier looks have stored.
+        reported_rpm: speed that the drive reports, rpm; NaN without a drive or a report.
     """
 
     measures: Measures
@@ -58,6 +60,7 @@ class StateView:
     entry_began_ns: int
     rpm: float
     memory: Mapping[str, Any]
+    reported_rpm: float = math.nan
 
     @property
     def in_state_s(self) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 
 from daq.acquisition.interlock_table import LOOK_S, TOGETHER_S
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.trips import finding_of
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
@@ -135,7 +136,7 @@ class _Run:
 
     def _begin(self, now_ns: int, *, whole: bool) -> None:
         """Start as a session does with each log: all data are due from now on."""
-        self._locks = Interlocks(self._rig.limits, self._roles, self._patience, driving=True)
+        self._locks = Interlocks(self._rig.limits, self._roles, self._patience, LeastMotion.of(self._rig), driving=True)
         self._locks.begin(now_ns)
         self._locks.need(needed_at_rest(self._facts.get("test", ""), self._roles))
         standing = standing_order(self._facts)

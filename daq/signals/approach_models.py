@@ -140,7 +140,9 @@ class WhitenedMeans:
         """
         p = shapes.forms.shape[2]
         prior = np.column_stack([np.zeros(len(scale)), scale**-2])
-        fit, variance, log_determinant = solve(across, right, prior, _RIDGE)
+        fit, variance, log_determinant = solve(
+            np.ascontiguousarray(across), np.ascontiguousarray(right), np.ascontiguousarray(prior), _RIDGE
+        )
         misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
         chi2 = misfit - (fit[..., 1:] ** 2 / scale[:, None] ** 2).sum(axis=2)
         narrowed = log_determinant + 2 * np.log(scale).sum(axis=1)[:, None]

@@ -20,7 +20,7 @@ from rig_basics.arrays import Array
 
 BELOW_Hz: Final = 1.0
 _MAX_RATE_Hz = 1000.0  # of the grid
-_MIN_LENGTH_S = 6.0
+MIN_LENGTH_S = 6.0
 _MIN_ORDINATES = 5
 _MIN_WANDER_RATIO = 30.0  # to the white level: a misfit or a changing orbit leaves several times the white level
 _FIRST_ORDINATE = 1.5  # ordinates below are removed by the taper and the straight line
@@ -136,7 +136,7 @@ def lines_in(
         least_m: smallest amplitude of a reported line, m.
     """
     length = float(rest[0][-1] - rest[0][0]) if len(rest[0]) > 1 else 0.0
-    if length < _MIN_LENGTH_S:
+    if length < MIN_LENGTH_S:
         return []
     found: list[SteadyLine] = []
     apart = _SEPARATION / length
@@ -197,7 +197,7 @@ def thinned(time_s: Array, value: Array) -> tuple[Array, Array]:
 
 def _evenly(time_s: Array, value: Array) -> _Even | None:
     """Return a record thinned by `thinned`; None if it is short."""
-    if len(time_s) < 2 or time_s[-1] - time_s[0] < _MIN_LENGTH_S:
+    if len(time_s) < 2 or time_s[-1] - time_s[0] < MIN_LENGTH_S:
         return None
     time, even = thinned(time_s, value)
     return _Even(float(time[1] - time[0]), even)

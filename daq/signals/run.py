@@ -24,7 +24,7 @@ from daq.log.snapshot import identities_of, rig_of
 from daq.log.time_span import TimeSpan
 from daq.signals.possible_displacement import refuse_impossible
 from daq.signals.releases import Release, releases_of
-from daq.signals.run_channels import angle_signal, laser_signal, mark_signal, motor_start, phase_signal
+from daq.signals.run_channels import angle_signal, driven_speed, laser_signal, mark_signal, motor_start, phase_signal
 from daq.signals.run_clocks import (
     NO_DEVICE,
     device_of,
@@ -34,6 +34,7 @@ from daq.signals.run_clocks import (
     shared_clock,
     start_of,
 )
+from daq.signals.speed_agreement import SpeedAgreement, speed_agreement
 from daq.signals.witnesses import Witness, WitnessAgreement, agreement
 from rig_basics.arrays import Array
 from rig_configs.roles import Roles
@@ -74,6 +75,8 @@ class Run:
             sensors are at right angles, and x and y are their readings.
         motor_start_s: time of the motor's first change of target speed, since the run's start, s; NaN if the target did
             not change or was not recorded.
+        speed: agreement of the drive's reports with the index marks while a speed is commanded; None if they cannot be
+            compared.
     """
 
     test: str
@@ -100,6 +103,7 @@ class Run:
     turn_deg: float = 0.0
     clock_shared_std: Mapping[str, float] = field(default_factory=dict[str, float])
     motor_start_s: float = math.nan
+    speed: SpeedAgreement | None = None
 
     def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
@@ -108,8 +112,9 @@ class Run:
 
 
 def disagreements(run: Run) -> list[str]:
-    """Return one sentence for each witness that disagrees with its reference sensor."""
-    return [found.text for found in run.agreements() if found.verdict == "disagree"]
+    """Return one sentence for each witness that disagrees with its reference, and for a drive with the index marks."""
+    doubts = [run.speed.words] if run.speed is not None and not run.speed.agrees else []
+    return [*doubts, *(found.text for found in run.agreements() if found.verdict == "disagree")]
 
 
 def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
@@ -169,6 +174,7 @@ def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
             },
             losses=losses_of(log).flat,
             motor_start_s=motor_start(log, start_s),
+            speed=speed_agreement(mark_time_s, mark_phase_rad / (2 * np.pi), *driven_speed(log, roles, start_s)),
             metadata={
                 **run,
                 "identities": identities_of(log),

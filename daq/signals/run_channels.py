@@ -11,7 +11,7 @@ from daq.clock import ClockLine
 from daq.log import Log
 from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start
 from rig_basics.arrays import Array
-from rig_configs.roles import DisplacementSensor
+from rig_configs.roles import DisplacementSensor, Roles
 
 
 def laser_signal(
@@ -42,6 +42,24 @@ def motor_start(log: Log, start_s: float) -> float:
         return math.nan
     changed = np.flatnonzero(samples.target_rpm != samples.target_rpm[0])
     return float(since_start(samples.time_ns[changed[0]], start_s)) if len(changed) else math.nan
+
+
+def driven_speed(log: Log, roles: Roles, start_s: float) -> tuple[Array, Array]:
+    """Return times and speeds, rpm, of the longest stretch of the drive's reports in which a speed is commanded.
+
+    Before and after it the drive may be off, and its report of a rotor that coasts is no measurement.
+    """
+    samples = None if roles.speed is None else samples_of(log, roles.speed.topic)
+    if samples is None or not {"speed_rpm", "target_rpm"} <= set(samples.columns):
+        return np.empty(0), np.empty(0)
+    driven = np.isfinite(samples.speed_rpm) & (samples.target_rpm != 0)
+    edges = np.flatnonzero(np.diff(np.r_[False, driven, False]))
+    if not len(edges):
+        return np.empty(0), np.empty(0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    stretch = slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
+    times = since_start(samples.time_ns[stretch], start_s)
+    return np.asarray(times, np.float64), np.asarray(samples.speed_rpm[stretch], np.float64)
 
 
 def angle_signal(log: Log, line: ClockLine, start_s: float) -> tuple[Array, Array]:

@@ -57,6 +57,10 @@ class HostClock:
         """Convert a duration in rig seconds to wall seconds."""
         return seconds / self.rate
 
+    def rig(self, wall_seconds: float) -> float:
+        """Convert a measured duration in wall seconds to rig seconds."""
+        return wall_seconds * self.rate
+
     def patience(self, wall_seconds: float) -> float:
         """Return the rig time, s, of a timeout that guards against a stalled host or cable.
 

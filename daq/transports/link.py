@@ -17,6 +17,7 @@ import serial
 
 from daq.errors import LinkLost
 from daq.transports import slcan
+from daq.transports.terminals import terminal_of
 from rig_basics.ignoring import ignoring
 
 if sys.platform != "win32":
@@ -79,8 +80,13 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         stop_bits: stop bits of a serial port: 1 or 2.
 
     Raises:
-        LinkLost: the port cannot be opened. The message contains the cause and what to check.
+        LinkLost: the port cannot be opened, or is a terminal in use. The message contains the cause and what to check.
     """
+    if owner := terminal_of(port):
+        raise LinkLost(
+            f"{port}: is the terminal of {owner}, not a device; it was not opened. The rig file is older than this "
+            "terminal: enter the present port, as `rig virtual` prints it or `rig devices` finds it"
+        )
     try:
         if port.startswith("can:"):
             _, interface, channel = port.split(":", 2)

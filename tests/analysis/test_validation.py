@@ -13,6 +13,7 @@ from analysis import NoStableState, predict_point, validate
 from analysis.scores import balanced_z
 from analysis.validation import validate_point
 from daq.signals.run import Run
+from daq.signals.speed_agreement import SpeedAgreement
 from rig_configs import IdentifiedParameters, Rig, load_rig
 from tests.effort import cases
 
@@ -278,3 +279,27 @@ def test_the_axis_angle_of_the_parameters_turns_the_prediction(rig: Rig, drawn: 
         assert predicted(angle) == predicted(None, angle) != predicted(None)
         assert predicted((40.0, 9.0), angle) == predicted(angle)  # what is given goes before what was found
     assert predicted(None) == predicted(None, (0.0, 1.0)) == predicted(None, (math.nan, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("share", "speed", "words"),
+    [
+        (1.15, None, "were requested. Repeat the test"),
+        (0.97, None, "by the index marks"),
+        (1.0, SpeedAgreement(340.0, 400.0, 0.85, 0.002), "the ratio is 0.85"),
+    ],
+    ids=["fast", "slow", "drive"],
+)
+def test_a_point_at_another_speed_than_requested_fails(
+    share: float, speed: SpeedAgreement | None, words: str, rig: Rig, drawn: Drawn, runs: dict[str, Run]
+) -> None:
+    run = runs["B"]
+    rpm = 60 / (2 * math.pi) * float((run.mark_phase_rad[-1] - run.mark_phase_rad[0]) / np.ptp(run.mark_time_s))
+    asked = {**run.metadata, "speed_rpm": f"{rpm / share:.7g}"}
+    recorded = dataclasses.replace(run, metadata=asked, speed=speed)
+    found = validate([recorded], rig, drawn.identified, drawn.axis_angle_deg)
+    assert found.points["B"].verdict == "fail"
+    assert words in found.points["B"].why
+    assert not found.passed
+    right = dataclasses.replace(run, metadata={**run.metadata, "speed_rpm": f"{1.005 * rpm:.7g}"})
+    assert validate([right], rig, drawn.identified, drawn.axis_angle_deg).points["B"].verdict == "pass"

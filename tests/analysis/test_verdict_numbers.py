@@ -675,7 +675,7 @@ def test_rows_of_a_test_are_not_those_of_a_release() -> None:
 
 
 def log(test: str, start: float, **facts: Any) -> Any:
-    return SimpleNamespace(test=test, start_s=start, source=f"{test}-{start:g}.mcap", metadata=facts)
+    return SimpleNamespace(test=test, start_s=start, source=f"{test}-{start:g}.mcap", metadata=facts, speed=None)
 
 
 @pytest.fixture

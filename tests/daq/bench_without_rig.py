@@ -65,6 +65,7 @@ class Bench:
     trouble: Exception | None = None
     rates = NoRates()
     ramp_rpm_per_s = 100.0
+    reported_rpm = float("nan")
     while_ordered: Callable[[int], None] = lambda number: None
     notes: list[DeviceEvent] = field(default_factory=list)
     logs: list[dict[str, Any]] = field(default_factory=list)

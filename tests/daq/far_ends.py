@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.acquisition.least_motion import LeastMotion
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.far_end import SimulatedDrive
@@ -33,7 +34,9 @@ class Bench:
         assert isinstance(node, SimulatedNode)
         self.drive, self.node = drive, node
         self.pipelines = make_pipelines(self.rig.devices, {})
-        self.interlocks = Interlocks(self.rig.limits, self.rig.roles, lambda s: s * patience, driving=True)
+        self.interlocks = Interlocks(
+            self.rig.limits, self.rig.roles, lambda s: s * patience, LeastMotion.of(self.rig), driving=True
+        )
         self.now_s = self.far.motion.time_s
         self.stops: list[tuple[float, Stop]] = []
         self.events: list[DeviceEvent] = []

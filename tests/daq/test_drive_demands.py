@@ -206,3 +206,54 @@ def test_another_unit_of_speed_fails_the_check(unit: int, units_per_rpm: float, 
     )
     check = checks_of({(cia402.UNIT_OF_SPEED, 0): (unit, "<I")}, settings).get("units_per_rpm")
     assert (None if check is None else check.passed) is passed
+
+
+class _Counted(HostClock):
+    """A clock that moves only while the host waits."""
+
+    def __init__(self, rate: float, passes: Callable[[float], None]) -> None:
+        super().__init__(rate)
+        self.at_s = self.begun_s = 1000.0
+        self.passes = passes
+
+    def wall_s(self) -> float:
+        return self.at_s
+
+    def now_ns(self) -> int:
+        return round(self.rate * self.at_s * 1e9)
+
+    def wait(self, wall_seconds: float) -> None:
+        self.at_s += wall_seconds
+        self.passes(self.at_s)
+
+    def every(
+        self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
+    ) -> Repeated:
+        do()
+        return _Ended()
+
+
+class _Ended:
+    def stop(self, wall_seconds: float | None = 2.0) -> None:
+        """Nothing runs."""
+
+
+@pytest.mark.parametrize("rate", [0.25, 1.0, 4.0])
+def test_a_time_out_is_measured_in_the_time_of_the_rig(rate: float) -> None:
+    """A simulated drive's watchdog runs on rig time; the host waits on wall time."""
+    drive = MappedDrive({})
+
+    def passes(wall_s: float) -> None:
+        drive.reports()
+        if rate * (wall_s - clock.begun_s) > 0.5:
+            emergency = cia301.Emergency(cia301.HEARTBEAT_ERROR, 0x11, bytes(5))
+            drive.answer(cia301.cob_emergency(NODE), cia301.pack_emergency(emergency))
+
+    clock = _Counted(rate, passes)
+    drive.host = DriveControl(CONFIG, drive.hear, clock)
+    drive.host.start()
+    drive.host.emergencies = []
+    clock.begun_s = clock.at_s
+    found = drive.host.measure_time_out()
+    assert found.measured_s == pytest.approx(0.5, abs=0.05 * max(1.0, rate))
+    drive.host.stop()

@@ -43,6 +43,15 @@ def swings_out_of_sight(bench: Bench) -> None:
     bench.fails("laser_x", "code", 262076)
 
 
+def hangs_with_its_neighbour(bench: Bench) -> None:
+    for laser in ("laser_x", "laser_y"):
+        bench.fails(laser, "code", 33_000)
+
+
+def slips_in_its_lock(bench: Bench) -> None:
+    bench.node._offset_counts[0] += 8.0 / 360.0 * bench.rig.devices["encoder"].counts_per_revolution
+
+
 def nothing(bench: Bench) -> None:
     """Do nothing: the limit is exceeded without a fault."""
 
@@ -52,11 +61,13 @@ SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
     "out of sight": (swings_out_of_sight, ()),
     "blind sensor": (fails("laser_y", "code", 262076), ()),
     "stuck sensor": (fails("laser_x", "code", 33_000), ()),
+    "no motion": (hangs_with_its_neighbour, ()),
     "silent displacement": (mutes("laser_x"), ()),
     "silent angles": (fails("encoder", "dead"), ()),
     "silent speed": (fails("drive", "silent reports"), ()),
     "no index mark": (fails("encoder", "marks lost"), ()),
     "encoder fault": (fails("encoder", "flags", 2), ()),
+    "loose lock": (slips_in_its_lock, ()),
     "lock fault": (lambda bench: bench._hear("encoder", bench.node._lock_event(bench.now_s, 1, 3, 7) or b""), ()),
     "overspeed": (nothing, ("limits.speed_rpm=500",)),
     "runaway": (fails("drive", "speed", 1100), ()),

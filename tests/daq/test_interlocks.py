@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from daq import channels
 from daq.acquisition.channel_watch import ChannelWatch
 from daq.acquisition.interlocks import Interlocks, Share, Stop
+from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.rotor_watch import RotorWatch
 from daq.items import Batch
 from rig_configs import load_rig
@@ -104,9 +105,8 @@ def test_a_rig_that_is_silent_as_a_whole_stops_the_rotor() -> None:
         assert float(found) == pytest.approx(silent_s, abs=0.15)  # not relative to the other silent channels
 
 
-def test_constant_readings_of_both_sensors_are_not_a_fault() -> None:
-    """A balanced rotor under noise-free sensors."""
-    with Bench() as bench:
+def test_constant_readings_of_both_sensors_of_a_balanced_rotor_are_not_a_fault() -> None:
+    with Bench("imbalance.mass_kg=0") as bench:
         bench.turn(600)
         bench.fails("laser_x", "code", 33_000)
         bench.fails("laser_y", "code", 33_000)
@@ -402,7 +402,7 @@ def test_silences_add_up_to_the_time_without_samples(steps: list[tuple[str, int]
 def test_corrections_of_the_clock_map_do_not_make_the_rotor_too_fast(slew: float) -> None:
     """After a delay of the host the clock map converges slowly, and the mapped times have a wrong rate meanwhile."""
     rig = load_rig("virtual")
-    interlocks = Interlocks(rig.limits, rig.roles, patience, driving=True)
+    interlocks = Interlocks(rig.limits, rig.roles, patience, LeastMotion.of(rig), driving=True)
     turn_us = 57_200
     found: list[object] = []
     for k in range(1, 60):

@@ -51,3 +51,11 @@ def test_a_port_s_name_is_no_placeholder(port: str) -> None:
 @pytest.mark.parametrize("port", ["", "/dev/ttyUSB?", "/dev/ttyUSBX", "/dev/ttyACM*", "<port>", "COMx", "TODO"])
 def test_a_text_that_waits_for_a_port_is_one(port: str) -> None:
     assert is_placeholder(port)
+
+
+def test_locks_whose_state_nothing_reports_are_refused(tmp_path: Path) -> None:
+    """The node reports its locks with its angles: without them every test would wait for the locks in vain."""
+    with pytest.raises(RigFileError, match=r"devices\.encoder moves the locks .* no device measures the angles.*locks"):
+        load_rig("virtual", settings=["devices.encoder.angles=false"])
+    both = ["devices.encoder.angles=false", "devices.encoder.locks=false"]
+    assert load_rig("virtual", settings=both).roles.locks is None

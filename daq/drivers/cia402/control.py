@@ -415,8 +415,8 @@ class DriveControl:
             before_s, looked_s = looked_s, self._clock.wall_s()
             heard, longest_s = cia301.HEARTBEAT_ERROR in self.emergencies, max(longest_s, looked_s - before_s)
         silent_s = looked_s - self._beat_s
-        resolution_s = self._clock.patience(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
-        return TimeOut(self._clock.patience(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
+        resolution_s = self._clock.rig(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
+        return TimeOut(self._clock.rig(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
 
     def ignores_missing_host(self) -> bool:
         """Return whether the drive goes on turning without its host: it states no reaction, and no FAULT followed."""

@@ -188,7 +188,8 @@ class OdriveControl(RepeatedCommand):
             self._send(_text(wire.clear_errors(s.node_id)))
             fed_ns, fed_s = self._clock.now_ns(), self._clock.wall_s()
         looked_s, delay_ns = fed_s, self._clock.patience(_REPORT_DELAY_S) * 1e9
-        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s + 1.0, 0.0, False
+        own_s = self._clock.rig(1.0) / self._clock.patience(1.0)  # of the rig file's time-outs in a wall second
+        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s / own_s + 1.0, 0.0, False
         while not expired and looked_s < end_s:
             self._clock.wait(0.002)
             before_s, looked_s = looked_s, self._clock.wall_s()
@@ -196,7 +197,7 @@ class OdriveControl(RepeatedCommand):
             late = self._beat_ns - fed_ns > delay_ns  # an earlier one may have been sent before the error was cleared
             expired = late and self._beat is not None and bool(self._beat.error & watchdog)
         resolution_s = self._clock.wall(s.heartbeat_ms * 1e-3) + _REPORT_DELAY_S + 2 * longest_s
-        return TimeOut(looked_s - fed_s if expired else None, s.watchdog_s, resolution_s)
+        return TimeOut(own_s * (looked_s - fed_s) if expired else None, s.watchdog_s, own_s * resolution_s)
 
     def _send_release(self) -> Callable[[], bool]:
         """Send the command to release the rotor; a later heartbeat in the state IDLE confirms it."""

@@ -257,7 +257,8 @@ class VescControl(RepeatedCommand):
             sent_ns, sent_s = self._clock.now_ns(), self._clock.wall_s()
         delay_ns = self._clock.patience(_DELAY_S) * 1e9
         looked_s, longest_s, obeyed, expired = sent_s, 0.0, False, False
-        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s + 1.0
+        own_s = self._clock.rig(1.0) / self._clock.patience(1.0)  # of the rig file's timeouts in a wall second
+        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s / own_s + 1.0
         while not expired and looked_s < end_s:
             self._clock.wait(0.002)
             before_s, looked_s = looked_s, self._clock.wall_s()
@@ -270,4 +271,4 @@ class VescControl(RepeatedCommand):
         if not obeyed:
             raise DeviceError("the command to release did not end its expired timeout: do commands reach it?")
         resolution_s = self._clock.wall(1.0 / s.report_Hz) + _STEP_S + _DELAY_S + 2 * longest_s
-        return TimeOut(looked_s - sent_s if expired else None, s.timeout_s, resolution_s)
+        return TimeOut(own_s * (looked_s - sent_s) if expired else None, s.timeout_s, own_s * resolution_s)

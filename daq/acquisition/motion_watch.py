@@ -1,0 +1,124 @@
+"""Detection of a displacement sensor that does not measure the motion of a turning rotor, such as one that hangs.
+
+A sensor that hangs repeats its last value, or adds its own noise to it. Its motion is then smaller than the unbalance
+of the rig file implies (`daq.acquisition.least_motion`). The motion is half the distance between the lowest and the
+highest tenth of the newest samples, over 0.95 as of a sine. Noise, drift and free vibration only increase it, and
+single false readings leave it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.least_motion import LeastMotion
+from rig_basics.units import RPM
+from rig_configs.roles import DisplacementSensor
+
+WINDOW_S, TURNS, BEATS = 0.5, 1.0, 1.5
+"""Least length of the evaluated stretch: time, turns, and beats of a free vibration with the rotation, s of samples."""
+STUCK_M = 25e-6
+"""Implied amplitude from which a reading that is constant to the last bit is a fault: ten steps of 5 µm, peak to
+peak, and common sensors have steps below 2 µm."""
+_KEPT = 64  # samples of one read that are kept at most
+_MIN_SAMPLES = 40
+_TENTH = 0.1
+_OF_SINE = math.cos(math.pi * _TENTH)  # that quantile of a sine of amplitude 1
+_MAX_GAP = 0.1  # share of the stretch that may lack at its beginning
+
+
+class MotionWatch:
+    """Compares the motion of displacement sensors with the least that a rig file implies.
+
+    Args:
+        sensors: the measuring sensors.
+        least: the bound.
+    """
+
+    def __init__(self, sensors: Iterable[DisplacementSensor], least: LeastMotion) -> None:
+        self._axis_of = {sensor.topic: sensor.axis for sensor in sensors}
+        self._least = least
+        self._speeds: deque[tuple[int, float]] = (
+            deque()
+        )  # host ns, rad/s; NaN: unknown, or pendulums not at their locks
+        self._reads: dict[str, deque[tuple[int, NDArray[np.float64]]]] = {topic: deque() for topic in self._axis_of}
+        self._theta_rad: tuple[float, float] | None = None
+
+    def clear(self) -> None:
+        """Remove all samples, since the rotor is at rest."""
+        self._speeds.clear()
+        for reads in self._reads.values():
+            reads.clear()
+
+    def feed(self, topic: str, host_ns: int, displacement_m: NDArray[np.floating]) -> None:
+        """Add the samples of one read of a sensor, m; NaN for invalid ones."""
+        every = -(-len(displacement_m) // _KEPT)
+        values = np.asarray(displacement_m[::every], np.float64)
+        self._reads[topic].append((host_ns, values[np.isfinite(values)]))
+
+    def angles(self, theta3_rad: float, theta4_rad: float) -> None:
+        """Register the newest pendulum angles."""
+        self._theta_rad = (theta3_rad, theta4_rad)
+
+    def tick(self, now_ns: int, rpm: float) -> str | None:
+        """Evaluate the newest stretch of a turning rotor.
+
+        Args:
+            now_ns: host time, ns.
+            rpm: measured speed; NaN if unknown.
+
+        Returns:
+            Description of the fault, or None.
+        """
+        held = not self._least.has_angles or (
+            self._theta_rad is not None and self._least.stand_at_locks(self._theta_rad)
+        )
+        self._speeds.append((now_ns, abs(rpm) * RPM if held else math.nan))
+        speed = self._speeds[-1][1]
+        if not speed > 0:
+            self._forget(now_ns)
+            return None
+        window_s = self._window_s(speed)
+        self._forget(now_ns - round(window_s * 1e9))
+        speeds = [each for _, each in self._speeds]
+        full = (now_ns - self._speeds[0][0]) * 1e-9 >= (1 - _MAX_GAP) * window_s
+        if not full or any(math.isnan(each) for each in speeds):
+            return None
+        return next(filter(None, (self._missing(topic, min(speeds), max(speeds)) for topic in self._axis_of)), None)
+
+    def _window_s(self, speed: float) -> float:
+        """Return the length of the stretch at a speed, s."""
+        naturals = (math.sqrt(k / self._least.mass_kg) for k in self._least.stiffness_N_per_m)
+        beats = [2 * math.pi / (speed - natural) for natural in naturals if speed > 1.01 * natural]
+        return max(WINDOW_S, TURNS * 2 * math.pi / speed, BEATS * max(beats, default=0.0))
+
+    def _forget(self, before_ns: int) -> None:
+        for kept in (self._speeds, *self._reads.values()):
+            while kept and kept[0][0] < before_ns:
+                kept.popleft()
+
+    def _missing(self, topic: str, slowest: float, fastest: float) -> str | None:
+        parts = [values for _, values in self._reads[topic]]
+        values = np.concatenate(parts) if parts else np.empty(0)
+        if len(values) < _MIN_SAMPLES:
+            return None
+        axis, constant = self._axis_of[topic], bool(np.all(values == values[0]))
+        least_m = self._least.amplitude_m(axis, slowest, fastest)
+        if constant and (by_unbalance := self._least.unbalance_m(axis, slowest, fastest)) >= STUCK_M:
+            least_m = by_unbalance
+        if not least_m > 0:
+            return None
+        low, high = np.quantile(values, (_TENTH, 1 - _TENTH)).tolist()
+        seen_m = 0.5 * (high - low) / _OF_SINE
+        if seen_m >= least_m:
+            return None
+        return (
+            f"{topic}: moves by ± {seen_m * 1e6:.1f} µm at {fastest / RPM:.0f} rpm; the rig file's unbalance implies "
+            f"± {least_m * 1e6:.0f} µm or more. The sensor hangs, or it does not look at the disk, or the rotor is "
+            "balanced better than the file states. Switch the sensor off and on, and compare [imbalance] and "
+            "[suspension] with the rig"
+        )
