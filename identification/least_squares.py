@@ -50,6 +50,11 @@ class Minimum:
         """Sum of squared residuals."""
         return float(self.residual @ self.residual)
 
+    @property
+    def per_reading(self) -> float:
+        """Mean square of the residuals, for a comparison of fits of different stretches."""
+        return self.cost / len(self.residual)
+
 
 def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
     """Minimise by Levenberg–Marquardt with Marquardt's scaling and a second-order correction of rejected steps.
