@@ -125,7 +125,12 @@ class _Work:
         """Values of the rig file, replaced by the values that the tests so far have found."""
         open_masses = () if "open-masses" in self.without else PENDULUMS
         stated = {n: std for n in open_masses if (std := self.rig.known.std(n)) > 0}
-        known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
+        known = replace(
+            Knowledge.nominal(self.rig.physics),
+            friction=self.friction(),
+            number_std=stated,
+            release_std_s=self.rig.pendulums.release_std_s,
+        )
         if (roll := self.slow_roll()[0]) is not None and roll.bow_m:
             bent = replace(known.physics, bow_x_m=roll.bow_m.real, bow_y_m=roll.bow_m.imag)
             known = replace(known, physics=bent, numbers=(*known.numbers, *BOW))

@@ -21,6 +21,8 @@ AXIS_TOLERANCE_DEG, SQUARE_TOLERANCE_DEG = 10.0, 3.0
 AT_REST_RPM = 1.0
 """Default of the reading of a speed source at a standing rotor, which may flicker by one count."""
 USUAL_GAIN_STD, USUAL_ZERO_STD_DEG, USUAL_DIRECTION_STD_DEG = 0.001, 0.05, 1.0
+USUAL_RELEASE_STD_S = 0.005
+"""Standard uncertainty of the instant at which a lock opens after its message: usual for a pin that a magnet draws."""
 """Defaults of a sensor, also of one that recorded elsewhere and is not in the rig file."""
 
 

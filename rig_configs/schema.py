@@ -33,7 +33,7 @@ from rig_configs.known import (
     physical_numbers,
     scale_source,
 )
-from rig_configs.roles import Roles, role_table
+from rig_configs.roles import USUAL_RELEASE_STD_S, Roles, role_table
 from rig_configs.table import Finite, NotNegative, Positive, RigTable, Share
 
 
@@ -98,13 +98,18 @@ class PendulumTable(RigTable):
 
 
 class Pendulums(RigTable):
-    """Both pendulums: A starts locked at 0°, B at 180°."""
+    """Both pendulums: A starts locked at 0°, B at 180°.
+
+    release_std_s is the standard uncertainty of the instant at which each lock opens, relative to the message that the
+    lock is open. A fit of a release estimates that instant.
+    """
 
     a: PendulumTable
     b: PendulumTable
     pivot_shift_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     pivot_shift_compensated: bool = True
     pivot_shift_std_m: NotNegative | None = None
+    release_std_s: Annotated[float, Field(ge=0, le=0.02)] = USUAL_RELEASE_STD_S
 
 
 class Suspension(RigTable):

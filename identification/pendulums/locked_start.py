@@ -38,6 +38,11 @@ class LockedStart:
     begin_s: float
     release_s: float
 
+    @property
+    def speed_rad_s(self) -> float:
+        """Rotor speed at the release, rad/s."""
+        return float(self.history.phase(self.release_s)[0, 1])
+
     def along(self, history: SpeedHistory) -> LockedStart:
         """Return the same with another rotor phase."""
         return LockedStart(history, self.begin_s, self.release_s)
@@ -85,7 +90,7 @@ class LockedStart:
         p = physics
         if p.suspension_is_linear:
             return p
-        speed = float(self.history.phase(self.release_s)[0, 1])
+        speed = self.speed_rad_s
         linear = replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
         found = linear
         for _ in range(_EQUIVALENT):  # each iteration reduces the error by the relative change of stiffness and damping

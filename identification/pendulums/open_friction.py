@@ -4,7 +4,7 @@ Friction that is too small to be found biases c by many times the standard devia
 Therefore every fit is extended at its end by the unknowns M_A, M_B (torque independent of the speed) and F_A, F_B
 (torque F φ̇² by the contact force), with one Gauss–Newton step from its minimum. These four unknowns are common to the
 tests of a campaign: a flick at rest determines M but hardly F, releases at several speeds determine M + F ω². Together
-they determine c nearly as well as without friction. For a single test M ≥ 0 and F ≥ 0 are used as bounds.
+they determine c nearly as well as without friction. Friction of any sign is allowed in a fit: bounds at 0 would bias c.
 Source: docs/theory/pendulum_damping.md.
 """
 
@@ -30,7 +30,6 @@ CONTACT_STD_kg_m2: Final = 1e-4
 _UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
 _INSIDE = 1.96**2  # χ² of a 95 % interval
 _MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of a correlation matrix
-_SIGNIFICANT_CHI2 = 20.0  # χ² of four friction terms that chance exceeds once in 2000
 _FURTHEST = 40.0  # largest half-width of an interval in standard deviations of ln c with free friction
 
 
@@ -145,19 +144,16 @@ class OpenFriction:
 
 @dataclass(frozen=True)
 class Alone:
-    """Damping by one transient with friction bounded from below by 0.
+    """Damping by one transient with free friction of any sign.
 
     Attributes:
-        log_damping: most likely ln c3, ln c4, shape (2,).
-        below, above: distances from them to the ends of the 95 % intervals, shape (2,).
-        covariance: covariance of a normal distribution with the longer side of the intervals, shape (2, 2).
+        log_damping: ln c3, ln c4, shape (2,).
+        covariance: covariance of these, shape (2, 2).
         known_std: standard deviations for known friction, shape (2,).
         torque_Nm, contact_kg_m2: upper 95 % limits of the friction of A and B, shape (2,).
     """
 
     log_damping: Array
-    below: Array
-    above: Array
     covariance: Array
     known_std: Array
     torque_Nm: Array
@@ -187,40 +183,22 @@ class Together:
 
 
 def alone(one: OpenFriction) -> Alone:
-    """Return damping and intervals by the profile likelihood of c3 and of c4 over friction of at least 0.
+    """Return the damping by one transient, and limits of its friction.
 
-    If the estimate of the friction is negative, the interval is that of a fit without friction. If it is positive or
-    cannot be excluded, the interval extends accordingly. Near a boundary a profile likelihood covers only 90 %.
-    Therefore the interval also contains that of a fit without friction, unless the friction is significant.
+    The friction may have any sign, so that the estimate of c is unbiased for every friction of at least 0. With bounds
+    at 0 friction that does not exist has a positive error only, and c, which has the opposite error, was low by 0.4
+    standard deviations on average. The limits of the friction are those of the profile likelihood over friction of at
+    least 0.
     """
-    best, below, above = np.zeros(2), np.zeros(2), np.zeros(2)
-    none, known = one.given(np.zeros(4))
-    for k in range(2):
-        at = [k, 2, 3, 4, 5]
-        unit = _UNIT[at]
-        best[k], low, high = profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
-        if not _is_significant(one):
-            reach = 1.96 * np.sqrt(known[k, k])
-            low, high = min(low, none[k] - reach), max(high, none[k] + reach)
-        below[k], above[k] = best[k] - low, high - best[k]
-    std = np.maximum(below, above) / 1.96
-    spread = np.sqrt(np.diag(one.covariance)[DAMPING])
-    correlation = one.covariance[DAMPING, DAMPING] / np.outer(spread, spread)
+    _, known = one.given(np.zeros(4))
     limits = np.zeros(4)
     for k in range(4):
         at = [2 + (k + j) % 4 for j in range(4)]
         unit = _UNIT[at]
         _, _, limits[k] = profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 1)
     limits = np.maximum(limits, 0.0) * _UNIT[FRICTION]
-    return Alone(best, below, above, correlation * np.outer(std, std), np.sqrt(np.diag(known)), limits[:2], limits[2:])
-
-
-def _is_significant(one: OpenFriction) -> bool:
-    """Return whether the friction is significant."""
-    unit = _UNIT[FRICTION]
-    friction = one.values[FRICTION] / unit
-    inner = one.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
-    return bool(friction @ inverse(inner) @ friction > _SIGNIFICANT_CHI2)
+    own = one.covariance[DAMPING, DAMPING]
+    return Alone(one.values[DAMPING], own, np.sqrt(np.diag(known)), limits[:2], limits[2:])
 
 
 def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:

@@ -24,7 +24,8 @@ from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.diagnosis import candidates, likely_causes
 from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Evidence, Friction
-from identification.pendulums.release_problem import SUSPENSION, RecordedRelease, Shape
+from identification.pendulums.opening_search import is_strained, opening_start
+from identification.pendulums.release_problem import SUSPENSION, TORQUES, RecordedRelease, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Notify, Search, holding
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import NOT_SEPARATED, TransientFit, with_open_friction
@@ -95,16 +96,27 @@ def fit_release(
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
     horizons, effort, notify = release.horizons(setting), effort or Effort(), notify or _ignore
-    end = horizons[-1]
     with_friction = "friction" not in held_back(without)
-    release, answers, shape, other = _searched(release, horizons, effort, notify, with_friction)
+    try:
+        release, answers, shape, other = _searched(release, horizons, effort, notify, with_friction)
+    except ReleaseLeftOut:
+        release = release.with_late_locks(setting)
+        answers, shape, other = _from_other_instants(release, setting, effort), None, []
+        if not answers:
+            raise
+    else:
+        if shape is None and not release.number_std and is_strained(release.problem(), answers[0]):
+            answers = plausible_answers([*answers, *_from_other_instants(release, setting, effort)])
+    end = release.horizons(setting)[-1]
     problem, best = release.problem(shape), answers[0]
     fit = problem.result(best, end, f"release {run.test}", 2, setting, _model_table(release, best, end, shape))
     if max(fit.std[n] / fit.values[n] for n in fit.values) > 0.2:
         raise FitFailed(f"{run.source}: {_not_shown(release, fit, shape)}")
-    fit = replace(fit, warnings=[*fit.warnings, *other])
+    openings = release.openings(best)
+    named = [f"release {run.test}: {each.sentence}" for each in openings if each.unusual]
+    fit = replace(fit, warnings=[*fit.warnings, *other, *named], openings=openings)
     if shape is not None:
-        friction = release.friction(best, problem.covariance(best, end, setting, (16, 17)), shape)
+        friction = release.friction(best, problem.covariance(best, end, setting, TORQUES), shape)
         fit = replace(fit, friction=friction, warnings=[*fit.warnings, friction.sentence(f"release {run.test}")])
     if with_friction:
         found = release.open_friction(shape, best, end, setting)
@@ -117,6 +129,22 @@ def fit_release(
     if not run.phase_absolute:
         return with_phase_warning(fit, answers, knowledge.physics)
     return covering(fit, answers, "from another start", "Another release decides")
+
+
+def _from_other_instants(release: RecordedRelease, setting: Setting, effort: Effort) -> list[Minimum]:
+    """Return the minima without dry friction from other instants at which the locks may have opened; none if none fits.
+
+    A rotor whose angle is not known is left out: its angle and the instants have the same effect.
+    """
+    if not release.run.phase_absolute:
+        return []
+    problem, horizons = release.problem(), release.horizons(setting)
+    try:
+        start = opening_start(release, problem, problem.prior.copy(), horizons[0])
+        return Search(problem, horizons, 1, effort, _ignore).answers([(start, False)], release.run.source)
+    except FitFailed as error:
+        _log.debug("%s: other instants of the locks do not explain it: %s", release.run.source, error)
+        return []
 
 
 def _ignore(_: str) -> None:
@@ -325,7 +353,8 @@ def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: Rec
     except NotFollowed as error:
         _log.debug("%s: fit with dry friction does not follow the angles: %s", release.run.source, error)
         return None
-    least = [m for m in found if np.all(m.theta[16:18] > -_MAX_NEGATIVE_STD * np.sqrt(np.diag(m.covariance))[16:18])]
+    at = list(TORQUES)
+    least = [m for m in found if np.all(m.theta[at] > -_MAX_NEGATIVE_STD * np.sqrt(np.diag(m.covariance)[at]))]
     return least[0] if least else None
 
 

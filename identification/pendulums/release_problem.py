@@ -1,9 +1,10 @@
 """Least-squares problem of a release: unknowns, prior knowledge, encoder readings and derivatives.
 
-θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
-from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P). With dry friction follow its torques on A and B at the
-rotor's speed (for the shape "both" first those of "torque", then those of "contact"). Then follow the errors of the
-recorded phase, and the errors of the pendulums' masses and lengths if these are free.
+θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, instant at which lock A opens, the disk's deviation x, y, ẋ, ẏ
+from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P, instant at which lock B opens). Instants count from the mean
+of both messages. With dry friction follow its torques on A and B at the rotor's speed (for the shape "both" first those
+of "torque", then those of "contact"). Then follow the errors of the recorded phase, and the errors of the pendulums'
+masses and lengths if these are free.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from daq.signals.phase_noise import encoder_step
 from daq.signals.run import Run
+from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
@@ -25,6 +27,7 @@ from identification.pendulums.known_numbers import answer_to, by_physical_number
 from identification.pendulums.locked_start import LockedStart
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.open_numbers import PENDULUMS, with_open_numbers
+from identification.pendulums.opening_locks import Opening, opened_locks
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import EncoderReadings, TransientProblem
@@ -36,11 +39,19 @@ from rig_configs.known import INDEX, ZERO_A, ZERO_B
 Shape = Literal["torque", "contact", "both"]
 """Shape of dry friction: torque independent of the speed, torque proportional to the contact force, or both."""
 
-SUSPENSION, _BASE = slice(11, 16), 16
-_START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
+SUSPENSION, OPENS, _BASE = slice(11, 16), (6, 16), 17
+TORQUES = (_BASE, _BASE + 1)
+"""Indices of the friction torques of A and B in θ of one shape of dry friction."""
+OWN_START = (*range(2, 11), 16)
+"""Indices in θ of the start of the motion: angles, zeros, the disk's deviation and the instants."""
+_START, _ZEROS, _DISK = slice(2, 4), slice(4, 6), slice(7, 11)
+_LATE_STD_S = 0.02  # largest prior standard deviation of the instants at which locks open; a rig file allows no larger
+_OPENING_STDS = 4.0  # standard deviations about its message within which a lock opens
+_SHORTEST_STD_S = 1e-6  # prior standard deviation of an instant that is known exactly
+_LOCKED_S = 0.02  # time before the messages in which a lock may already move
 _MAX_TIME_STD_S = 0.03  # standard uncertainty of the instant of release above which the damping would be biased
 _BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
-_SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
+_DISK_STD_M = 2e-5
 _EXACT_RAD, _TURN_RAD = 1e-7, 1e-5  # standard deviation of exact zeros; step of the index angle
 _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
 _DAMPING_STD = 2.5  # prior of ln c: a start value wrong by a factor of 100 is within two standard deviations
@@ -57,7 +68,9 @@ class RecordedRelease:
         rest: locked rig before the release.
         speed: rotor phase and its uncertainty.
         begin_s: start of the fitted readings, s.
-        release_std_s: standard uncertainty of the instant of release, s.
+        message_s: instants of the messages that A and B are released, minus `rest.release_s`, s, shape (2,).
+        opening_std_s: prior standard deviation of the instants at which the locks open, s, shape (2,).
+        expected_std_s: standard uncertainty of these instants by rig file and messages, s, shape (2,).
         readings: readings of both encoders from `begin_s` on.
         locked_rad: mean readings of the locked pendulums, rad, shape (2,).
         zero_std_rad: standard uncertainty of the encoders' zeros, rad.
@@ -69,33 +82,55 @@ class RecordedRelease:
     rest: LockedStart
     speed: RecordedSpeed
     begin_s: float
-    release_std_s: float
+    message_s: np.ndarray
+    opening_std_s: np.ndarray
+    expected_std_s: np.ndarray
     readings: tuple[EncoderReadings, EncoderReadings]
     locked_rad: np.ndarray
     zero_std_rad: float
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod
-    def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> RecordedRelease:
+    def of(
+        cls,
+        run: Run,
+        knowledge: Knowledge,
+        zero_std_rad: float,
+        setting: Setting,
+        least_opening_std_s: float = _SHORTEST_STD_S,
+    ) -> RecordedRelease:
         """Create the release from a run.
 
+        Args:
+            run: recording.
+            knowledge: prior knowledge of the other parameters.
+            zero_std_rad: standard uncertainty of the encoders' zeros, rad.
+            setting: length of the blocks of readings.
+            least_opening_std_s: smallest prior standard deviation of the instants at which the locks open, s.
         Raises:
             NotIdentifiable: there are no releases, or too few marks or samples.
         """
-        go, go_std = _release_time(run)
+        messages, expected = _release_times(run, knowledge.release_std_s)
+        std = np.maximum(expected, least_opening_std_s)
+        go, reach = float(np.mean(messages)), _OPENING_STDS * float(np.max(std))
         rest, speed = _locked_start(run, go)
-        begin = go + max(_BLOCK_S["balanced"], 4 * go_std)
+        begin = float(np.max(messages)) + max(_BLOCK_S["balanced"], reach)
         readings = _readings(run, begin, _BLOCK_S[setting])
-        before = (run.angle_time_s < go - 0.02) & (run.angle_time_s > go - 2.0)
+        sure = float(np.min(messages)) - max(_LOCKED_S, reach)
+        before = (run.angle_time_s < sure) & (run.angle_time_s > sure - 2.0)
         if np.count_nonzero(before) < 100:
             raise NotIdentifiable(f"{run.source}: no encoder samples of the locked pendulums before the release")
         locked = np.nanmean(run.angle_rad[before], axis=0)
-        return cls(run, knowledge, rest, speed, begin, go_std, readings, locked, zero_std_rad)
+        return cls(run, knowledge, rest, speed, begin, messages - go, std, expected, readings, locked, zero_std_rad)
+
+    def with_late_locks(self, setting: Setting) -> RecordedRelease:
+        """Return the release with a prior of the locks' instants that is wider than that of any rig file."""
+        return RecordedRelease.of(self.run, self.knowledge, self.zero_std_rad, setting, _LATE_STD_S)
 
     @property
     def speed_rad_s(self) -> float:
         """Rotor speed at the release, rad/s."""
-        return float(self.rest.history.phase(self.rest.release_s)[0, 1])
+        return self.rest.speed_rad_s
 
     @property
     def moved_rad(self) -> np.ndarray:
@@ -105,10 +140,12 @@ class RecordedRelease:
 
     @property
     def start(self) -> np.ndarray:
-        """Start value of θ without friction and phase, shape (16,)."""
+        """Start value of θ without friction and phase, shape (17,)."""
         physics = self.knowledge.physics
         damping = np.log([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
-        return np.r_[damping, self.locked_rad, np.zeros(7), log_suspension(physics)]
+        theta = np.r_[damping, self.locked_rad, np.zeros(7), log_suspension(physics), 0.0]
+        theta[list(OPENS)] = self.message_s
+        return theta
 
     @property
     def _zero_std(self) -> float:
@@ -133,12 +170,13 @@ class RecordedRelease:
             angle_std,
             self._zero_std,
             self._zero_std,
-            self.release_std_s,
+            self.opening_std_s[0],
             _DISK_STD_M,
             _DISK_STD_M,
             _DISK_STD_M * omega,
             _DISK_STD_M * omega,
             self.knowledge.log_std,
+            self.opening_std_s[1],
         ]
         dry, modes, turn = _unknowns(shape), len(self.speed.modes), not self.run.phase_absolute
         prior = np.r_[start, np.zeros(dry + modes + int(turn))]
@@ -174,19 +212,26 @@ class RecordedRelease:
             now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
         except OutsideDomain:  # usual: a trial with impossible parameters
             return bad
-        true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
-        state, by = rest.at(now, true[0], true[1], at)
-        state[[0, 1, 4, 5]] += theta[_DISK]
+
+        def physics_of(log_change: np.ndarray) -> RotorParameters:
+            if not np.any(log_change):
+                return now
+            return laid_over(self.knowledge, theta[:2] + log_change[:2], theta[SUSPENSION] + log_change[2:])
+
+        true, instants = theta[_START] - theta[_ZEROS], theta[list(OPENS)]
+        if not np.max(np.abs(instants)) < self.begin_s - rest.release_s:
+            return bad
+        opened = opened_locks(rest, physics_of, (true[0], true[1]), (instants[0], instants[1]), theta[_DISK])
         last = max(float(c.time_s[-1]) for c in cut)
         dry, dry_by = self._dry(theta, shape)
-        motion = swing(now, rest.history, state, rest.release_s + at, self.begin_s, last, dry, slopes)
+        motion = swing(now, rest.history, opened.state, opened.at_s, self.begin_s, last, dry, slopes)
         if motion is None:
             return bad
         start_by, log_by = np.zeros((8, size)), np.zeros((7, size))
-        start_by[:, _START], start_by[:, _ZEROS] = by[:, :2], -by[:, :2]
-        start_by[:, _SHIFT] = by[:, 2] - motion.start_rates  # a later start has moved less
-        start_by[[0, 1, 4, 5], [7, 8, 9, 10]] = 1.0
-        start_by[:, SUSPENSION] = by[:, 3:]
+        start_by[:, _START], start_by[:, _ZEROS] = opened.by_angle, -opened.by_angle
+        start_by[:, list(OPENS)] = opened.start_by_instant(motion.start_rates)
+        start_by[:, _DISK] = opened.by_deviation
+        start_by[:, :2], start_by[:, SUSPENSION] = opened.by_logarithm[:, :2], opened.by_logarithm[:, 2:]
         log_by[0, 0] = log_by[1, 1] = 1.0
         log_by[2:, SUSPENSION] = np.eye(5)
         angle, slope = both_angles(motion, cut, start_by, log_by, dry_by)
@@ -305,6 +350,14 @@ class RecordedRelease:
             found[INDEX] = answer_to(minimum, change / _TURN_RAD, wanted)
         return found
 
+    def openings(self, minimum: Minimum) -> tuple[Opening, Opening]:
+        """Return the instants at which the locks of A and B opened, by a fit."""
+        late = minimum.theta[list(OPENS)] - self.message_s
+        std = np.sqrt(np.diag(minimum.covariance)[list(OPENS)])
+        each = zip("AB", late.tolist(), std.tolist(), self.expected_std_s.tolist(), strict=True)
+        a, b = (Opening(*one) for one in each)
+        return a, b
+
     def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
         """Return the friction of a fit.
 
@@ -355,21 +408,23 @@ def _unknowns(shape: Shape | None) -> int:
     return 0 if shape is None else 4 if shape == "both" else 2
 
 
-def _release_time(run: Run) -> tuple[float, float]:
-    times = {r.pendulum: r.time_s for r in run.releases}
-    if set(times) != {0, 1}:
-        raise NotIdentifiable(f"{run.source}: expected a release of both pendulums, found {len(times)} released")
-    if abs(times[0] - times[1]) > 2e-3 + 3 * max(r.time_std_s for r in run.releases):
-        raise NotIdentifiable(
-            f"{run.source}: the pendulums were released {abs(times[0] - times[1]):.3g} s apart; release both at once"
-        )
-    worst = max(r.time_std_s for r in run.releases)
+def _release_times(run: Run, opening_std_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the instants of the messages of A and B, and the standard uncertainty of the locks' opening after them."""
+    found = {r.pendulum: r for r in run.releases}
+    if set(found) != {0, 1}:
+        raise NotIdentifiable(f"{run.source}: expected a release of both pendulums, found {len(found)} released")
+    messages = np.array([found[i].time_s for i in range(2)])
+    worst = max(r.time_std_s for r in found.values())
     if worst >= _MAX_TIME_STD_S:
         raise NotIdentifiable(
             f"{run.source}: the standard uncertainty of the instant of release is {worst:.2g} s, as for a release by "
             f"hand; below {_MAX_TIME_STD_S:g} s is needed for the damping. Record a spin-down"
         )
-    return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
+    std = np.hypot([found[i].time_std_s for i in range(2)], opening_std_s)
+    apart = abs(float(messages[1] - messages[0]))
+    if apart > 2e-3 + 3 * worst:
+        raise NotIdentifiable(f"{run.source}: the pendulums were released {apart:.3g} s apart; release both at once")
+    return messages, std
 
 
 def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpeed]:

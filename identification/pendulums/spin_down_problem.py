@@ -18,6 +18,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, evidence
 from identification.pendulums.known_numbers import by_physical_numbers
+from identification.pendulums.off_axis import UNKNOWNS, columns, with_off_axis
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.push import TIME_CONSTANTS, Decline
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -47,6 +48,7 @@ class SpinDown:
         declines: push and run-down of each pendulum.
         begin_s, end_s: begin and end of the stretch, s.
         knowledge: masses, lengths and prior knowledge of the suspension.
+        off_axis: whether the encoders may be mounted off their axes; their errors are then the last unknowns of θ.
     """
 
     whole: list[EncoderReadings]
@@ -54,6 +56,7 @@ class SpinDown:
     begin_s: float
     end_s: float
     knowledge: Knowledge
+    off_axis: bool = False
 
     @property
     def readings(self) -> tuple[EncoderReadings, EncoderReadings]:
@@ -81,13 +84,13 @@ class SpinDown:
         prior_std[:2], prior_std[PSI] = _DAMPING_STD, np.pi
         prior_std[_DISK] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
         prior_std[_SUSPENSION] = self.knowledge.log_std[:4]
-        prior = self.start(kinds, 0.0)
+        prior = self.start(kinds, 0.0)[:size]
 
         def predict(theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
             return self._angles(theta, problem.cut(end_s), kinds, slopes)
 
         problem = TransientProblem(self.readings, predict, prior, prior_std)
-        return problem
+        return with_off_axis(problem) if self.off_axis else problem
 
     def start(self, kinds: Kinds, psi: float) -> np.ndarray:
         """Return a start value of θ from exponentials, with the rotor at ψ and the friction of the run-downs."""
@@ -107,11 +110,29 @@ class SpinDown:
                 start[at] = max(0.0, decline.friction_share) * rate * inertias[i] * decline.speed_rad_s
         start[PSI] = psi
         start[_SUSPENSION] = log_suspension(physics)[:4]
-        return start
+        return np.r_[start, np.zeros(self._errors)]
+
+    @property
+    def _errors(self) -> int:
+        """Number of unknowns for the errors of the encoders."""
+        return UNKNOWNS if self.off_axis else 0
+
+    def with_off_axis(self, theta: np.ndarray) -> tuple[SpinDown, np.ndarray]:
+        """Return the stretch with encoders that may be off their axes, and θ extended by errors of 0."""
+        return replace(self, off_axis=True), np.r_[theta, np.zeros(UNKNOWNS)]
+
+    def off_axis_score(self, kinds: Kinds, minimum: Minimum) -> Evidence:
+        """Return the score test for encoders that are mounted off their axes."""
+        plain = self.problem(kinds)
+        cut = plain.cut(self.end_s)
+        sizes = (len(cut[0].time_s), len(cut[1].time_s))
+        weight = np.concatenate([c.weight for c in cut])
+        by = columns(plain.angles(minimum.theta, self.end_s), sizes) * weight[:, None]
+        return evidence(minimum, by, plain.rounding(minimum, self.end_s, 40), sizes)
 
     def extended(self, theta: np.ndarray, kinds: Kinds, more: Kinds, values: Mapping[Kind, np.ndarray]) -> np.ndarray:
         """Return θ of a problem with more kinds of friction, whose values are the given ones, at least 0."""
-        out = np.r_[theta[:COUNT], np.zeros(2 * len(more))]
+        out = np.r_[theta[:COUNT], np.zeros(2 * len(more)), theta[len(theta) - self._errors :]]
         for i, kind in enumerate(more):
             at = COUNT + 2 * i
             if kind in kinds:
@@ -129,9 +150,11 @@ class SpinDown:
         _, slope = problem.predict(theta, self.end_s)
         cut = problem.cut(self.end_s)
         weight = np.concatenate([c.weight for c in cut])
-        columns = slope[:, -2:] * weight[:, None]
+        at = COUNT + 2 * len(kinds)
         sizes = (len(cut[0].time_s), len(cut[1].time_s))
-        return evidence(minimum, columns, plain.rounding(minimum, self.end_s, 40), sizes)
+        return evidence(
+            minimum, slope[:, at : at + 2] * weight[:, None], plain.rounding(minimum, self.end_s, 40), sizes
+        )
 
     def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
         """Return damping and free friction from a fit with some kinds of friction; None if the fit fails.
@@ -179,7 +202,8 @@ class SpinDown:
     def positive(self, minimum: Minimum, kinds: Kinds) -> bool:
         """Return whether no friction value is significantly negative, which would be unphysical."""
         std = np.sqrt(np.diag(minimum.covariance))
-        return bool(np.all(minimum.theta[COUNT:] > -_MAX_NEGATIVE_STD * std[COUNT:])) if kinds else True
+        at = slice(COUNT, COUNT + 2 * len(kinds))
+        return bool(np.all(minimum.theta[at] > -_MAX_NEGATIVE_STD * std[at]))
 
     def _angles(
         self, theta: np.ndarray, cut: tuple[Averages, Averages], kinds: Kinds, slopes: bool

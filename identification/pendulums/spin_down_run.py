@@ -26,6 +26,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.friction import Evidence, Friction
 from identification.pendulums.known_numbers import knowing, zeros_std
+from identification.pendulums.off_axis import errors_of
 from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
@@ -45,11 +46,12 @@ _log = logging.getLogger(__name__)
 _PSI, _COUNT = PSI, COUNT
 _ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())
 _KINDS: dict[Kind, str] = {"torque": "dry friction", "contact": "a drag with the square of the speed"}
+_OFF_AXIS = "encoders off their axes"
 _RUNG: dict[Kind, Rung] = {"torque": "friction", "contact": "drag"}
 _ATTEMPTS = 8
 _MAX_CHI2 = 10.0  # χ²/dof above which a fit is rejected
 _POOR_CHI2 = 50.0  # χ²/dof above which a later attempt uses a single angle of the rotor
-_MIN_GAIN_CHI2 = 8.0  # smallest reduction of χ² by the fit of another kind of friction
+_MIN_GAIN = 4.0  # smallest reduction of χ² plus two per unknown by another term: odds of 7 to 1
 _MOST_STEPS = 80  # iterations; χ² has a long valley along the angle of the rotor
 _BEFORE_PUSH_S = 0.03
 _MIN_STRETCH_S = 0.08
@@ -109,14 +111,15 @@ def _fit_from(
     for attempts_left in range(_ATTEMPTS, -1, -1):
         end = min(*(float(w.averages.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
         case = SpinDown(whole, declines, begin, end, knowledge)
-        kinds, answers, rows = _chosen(case, angles, held)
+        case, kinds, answers, rows = _chosen(case, angles, held)
         minimum, problem = answers[0], case.problem(kinds)
         if attempts_left and _early_excess(problem, minimum) and end - begin > _MIN_STRETCH_S:
             begin += min(0.04, 0.25 / fastest)  # the hand still touched the pendulum
             if problem.chi2_per_dof(minimum, end) > _POOR_CHI2:
                 angles = (float(minimum.theta[_PSI]),)
             continue
-        table = _model_table(problem, minimum, declines, end, rows)
+        terms = [*(["friction"] if kinds else []), *([_OFF_AXIS] if case.off_axis else [])]
+        table = _model_table(problem, minimum, declines, end, rows, terms)
         fit = problem.result(minimum, end, "spin-down", 2, setting, table)
         if minimum.converged and fit.chi2_per_dof < _MAX_CHI2:
             fit = _with_friction(case, fit, minimum, kinds, setting)
@@ -127,6 +130,9 @@ def _fit_from(
                     raise FitFailed(NOT_SEPARATED.format(run.source, "spin-down", advice))
                 fit = with_open_friction(fit, found, "spin-down")
             fit = replace(fit, by_number=case.by_number(problem, minimum, kinds, (0, 1)))
+            if case.off_axis:
+                named = [f"spin-down: {each.sentence}" for each in errors_of(minimum) if each.significant]
+                fit = replace(fit, warnings=[*fit.warnings, *named])
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _MAX_CHI2:
             raise FitFailed(
@@ -144,35 +150,31 @@ def _fit_from(
 
 def _chosen(
     case: SpinDown, angles: Sequence[float], held: frozenset[Rung]
-) -> tuple[Kinds, list[Minimum], list[ModelChoice]]:
-    """Select the smallest adequate model: viscous damping, with dry friction, with a drag, or with both.
+) -> tuple[SpinDown, Kinds, list[Minimum], list[ModelChoice]]:
+    """Select the smallest adequate model: viscous damping, and with it friction, a drag, or encoders off their axes.
 
     Returns:
-        Kinds of friction of the model, its minima, and a row for each tested model.
+        Stretch with or without encoders off their axes, kinds of friction of the model, its minima, and a row for each
+        tested model.
     """
     kinds: Kinds = ()
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
-    for _ in range(len(_KINDS)):
+    for _ in range(len(_KINDS) + 1):
         scores: dict[Kind, Evidence] = {
             kind: case.score(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds
         }
-        own = case.problem(kinds)
-        chi2 = own.chi2_per_dof(answers[0], case.end_s)
-        for kind, score in scores.items():
-            name = " and ".join(["viscous damping", *(_KINDS[k] for k in (*kinds, kind))])
-            why = (
-                f"would reduce χ² by {score.mended:.3g}, {score.gain:.3g} in units of chance (limit {score.limit:.3g})"
-            )
-            cost = answers[0].cost - score.mended + 2 * (len(answers[0].theta) + 2)
-            rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
-        lost = chi2 > _MAX_CHI2  # far from a minimum the score test is unreliable
+        off = None if case.off_axis else case.off_axis_score(kinds, answers[0])
+        own = [_KINDS[k] for k in kinds]
+        rows += [_tested(score, [*own, _KINDS[kind]], answers[0]) for kind, score in scores.items()]
+        rows += [] if off is None else [_tested(off, [*own, _OFF_AXIS], answers[0])]
+        lost = case.problem(kinds).chi2_per_dof(answers[0], case.end_s) > _MAX_CHI2  # there a score test is unreliable
         likely: list[Kind] = [
             k
             for k, score in scores.items()
             if (lost or (score.found and score.step.max() > 0)) and _RUNG[k] not in held
         ]
-        tried: list[tuple[float, Kinds, list[Minimum]]] = []
+        tried: list[tuple[float, SpinDown, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
             starts = [case.extended(a.theta, kinds, more, {kind: scores[kind].step}) for a in answers[:1]]
@@ -180,11 +182,28 @@ def _chosen(
                 starts += [case.start(more, psi) for psi in angles]
             found = _answers(case, more, starts)
             if case.positive(found[0], more):
-                tried.append((found[0].cost, more, found))
-        if not tried or min(t[0] for t in tried) > answers[0].cost - _MIN_GAIN_CHI2:
+                tried.append((_penalised(found), case, more, found))
+        if off is not None and (lost or off.found):
+            wider, theta = case.with_off_axis(answers[0].theta)
+            found = _answers(wider, kinds, [theta])
+            tried.append((_penalised(found), wider, kinds, found))
+        if not tried or min(t[0] for t in tried) > _penalised(answers) - _MIN_GAIN:
             break
-        _, kinds, answers = min(tried, key=lambda t: t[0])
-    return kinds, answers, rows
+        _, case, kinds, answers = min(tried, key=lambda t: t[0])
+    return case, kinds, answers, rows
+
+
+def _penalised(answers: Sequence[Minimum]) -> float:
+    """Return χ² of the best minimum plus two for each unknown, as of Akaike's criterion."""
+    return answers[0].cost + 2 * len(answers[0].theta)
+
+
+def _tested(score: Evidence, terms: Sequence[str], minimum: Minimum) -> ModelChoice:
+    """Return the row of a model that a score test added to another one."""
+    why = f"would reduce χ² by {score.mended:.3g}, {score.gain:.3g} in units of chance (limit {score.limit:.3g})"
+    count = len(minimum.theta) + len(score.step)
+    name = " and ".join(["viscous damping", *terms])
+    return ModelChoice(name, count, minimum.cost - score.mended + 2 * count, False, why)
 
 
 def _with_friction(case: SpinDown, fit: TransientFit, minimum: Minimum, kinds: Kinds, setting: Setting) -> TransientFit:
@@ -232,7 +251,12 @@ def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: flo
 
 
 def _model_table(
-    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float, tested: list[ModelChoice]
+    problem: TransientProblem,
+    minimum: Minimum,
+    declines: list[Decline],
+    end_s: float,
+    tested: list[ModelChoice],
+    terms: Sequence[str],
 ) -> list[ModelChoice]:
     """Return the model table: exponentials on a fixed rotor, coupled motion, and tested kinds of friction."""
     bare, size = 0.0, 0
@@ -248,7 +272,7 @@ def _model_table(
     why = f"χ² {bare:.3g} against {coupled:.3g} for {size} blocks: " + (
         "the disk's reaction on the pendulums is visible" if needed else "the disk's reaction is below the noise"
     )
-    name = "coupled motion of disk and pendulums" + (" with friction" if count > _COUNT else "")
+    name = " with ".join(["coupled motion of disk and pendulums", *terms])
     return [
         ModelChoice("exponentials, rotor held", 6, bare + 2 * 6, False, why),
         # always chosen: it contains the other model, and its interval includes the uncertainty of the suspension

@@ -11,6 +11,7 @@ from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.pendulums.friction import Friction
 from rig_configs.known import BOW, DRAG, physical_numbers, with_number
 from rig_configs.parameters_file import DESIGN_SHARE
+from rig_configs.roles import USUAL_RELEASE_STD_S
 from rig_configs.suspension_terms import TERMS, moved_term
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
@@ -30,6 +31,7 @@ class Knowledge:
         by_number: number → derivative of the logarithms of k1, k2, ζ1, ζ2, S_P by it in the tests so far, shape (5,).
         number_std: number that may be free in a release → its standard uncertainty, in its unit.
         terms: names of TERMS of the suspension by which derivatives of a result are required.
+        release_std_s: standard uncertainty of the instant at which a lock opens after its message, s.
     """
 
     physics: RotorParameters
@@ -39,6 +41,7 @@ class Knowledge:
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
     terms: tuple[str, ...] = ()
+    release_std_s: float = USUAL_RELEASE_STD_S
 
     @classmethod
     def nominal(cls, physics: RotorParameters) -> Knowledge:

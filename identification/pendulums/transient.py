@@ -18,6 +18,7 @@ from identification.curve import FittedCurve
 from identification.least_squares import Minimum, inverse_normal, minimise
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import Alone, OpenFriction, alone
+from identification.pendulums.opening_locks import Opening
 from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
 from identification.setting import ModelChoice, Setting
@@ -74,6 +75,7 @@ class TransientFit:
         undecided: warning that friction too small to be found has widened the intervals; "" if it has not.
         by_number: known number → derivative of ln c3, ln c4 by it, shape (2,).
         number_std: known number that is free in the fit → its standard uncertainty, whose part is in the covariance.
+        openings: instants at which the locks opened, of a release.
     """
 
     values: dict[str, float]
@@ -92,6 +94,7 @@ class TransientFit:
     undecided: str = ""
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
+    openings: tuple[Opening, ...] = ()
 
     @property
     def std(self) -> dict[str, float]:
@@ -368,7 +371,7 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 
 def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> TransientFit:
-    """Return a fit with values and intervals for free friction of at least 0.
+    """Return a fit with values and intervals for free friction.
 
     Args:
         fit: fit of the transient.
@@ -376,7 +379,7 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         label: name of the test for the warning.
     """
     free: Alone = alone(found)
-    c, low, high = (np.exp(free.log_damping + shift) for shift in (0.0, -free.below, free.above))
+    c = np.exp(free.log_damping)
     wider, warning = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
     if wider > _WARNING_RATIO:
         limits = (
@@ -395,7 +398,7 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         fit,
         values=dict(zip(_NAMES, c.tolist(), strict=True)),
         covariance=free.covariance * np.outer(c, c),
-        intervals={n: (float(a), float(b)) for n, a, b in zip(_NAMES, low, high, strict=True)},
+        intervals=log_intervals(c, free.covariance),
         warnings=[*fit.warnings, warning] if warning else fit.warnings,
         open_friction=found,
         undecided=warning,

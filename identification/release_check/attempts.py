@@ -20,12 +20,13 @@ from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Friction
-from identification.pendulums.release_problem import SUSPENSION, RecordedRelease, Shape
+from identification.pendulums.opening_search import is_strained, opening_start
+from identification.pendulums.release_problem import SUSPENSION, TORQUES, RecordedRelease, Shape
 from identification.pendulums.release_search import Effort, Search, holding
 from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, screened_starts
-from identification.release_check.model import TORQUES, FittedRelease, fitted_with_numbers, opened
+from identification.release_check.model import FittedRelease, fitted_with_numbers, opened
 from rig_basics.arrays import Array
 from rig_basics.ignoring import ignoring
 from rig_configs.parameters_file import IdentifiedParameters
@@ -57,8 +58,8 @@ class Attempts:
     def fitted(self, release: RecordedRelease) -> FittedRelease:
         """Fit a release with all parameters free.
 
-        The attempts in order: narrow prior, wide prior, then other masses and lengths of the pendulums or dry friction,
-        whichever leaves the smaller residual.
+        The attempts in order: narrow prior, wide prior, then other masses and lengths of the pendulums, locks that open
+        later or earlier than the rig file allows, or dry friction, whichever leaves the smaller residual per reading.
 
         Raises:
             FitFailed: the model does not follow the angles.
@@ -66,24 +67,47 @@ class Attempts:
         last: FitFailed | None = None
         for wide in (WIDE, math.inf):
             try:
-                return self._opened(release, self.std(wide), False)
+                return self._unstrained(self._opened(release, self.std(wide), False), self.std(wide))
             except FitFailed as error:
                 last = last or error
-        found = self._alternatives(release)
-        if not found:
+        others = self._alternatives(release)
+        if not others:
             assert last is not None
             raise last
-        return min(found, key=lambda fitted: fitted.minimum.cost)
+        return min(others, key=lambda fitted: fitted.minimum.per_reading)
 
     def _alternatives(self, release: RecordedRelease) -> list[FittedRelease]:
-        """Fit a release that the identified model does not follow with other pendulums and with dry friction."""
+        """Fit a release that the identified model does not follow with each alternative."""
         found = list[FittedRelease]()
         with ignoring(_log, "fitting with other pendulums", FitFailed):
             found.append(self._opened(release, self.std(WIDE), True))
+        if release.run.phase_absolute:
+            with ignoring(_log, "fitting with late locks", FitFailed):
+                found.append(self._from_other_instants(release.with_late_locks("balanced"), self.std(WIDE)))
         if not self.known_friction:
             torques = (share * self.flick_Nm for share in _FRICTION_SHARES)
             found += [first] if (first := next(self.with_friction(release, torques), None)) else []
         return found
+
+    def _unstrained(self, fitted: FittedRelease, std: Mapping[str, float]) -> FittedRelease:
+        """Return a fit, or the one from other instants of the locks if its start is doubtful and that one is better."""
+        if not fitted.release.run.phase_absolute or not is_strained(fitted.problem, fitted.minimum):
+            return fitted
+        with ignoring(_log, "fitting from other instants", FitFailed):
+            return min(fitted, self._from_other_instants(fitted.release, std), key=lambda each: each.minimum.cost)
+        return fitted
+
+    def _from_other_instants(self, release: RecordedRelease, std: Mapping[str, float]) -> FittedRelease:
+        """Fit a release from the instants of its locks that explain the first readings best."""
+        shape, torque = self._friction(release)
+        problem, horizons = opened(release.problem(shape), std), _horizons(release)
+        start = problem.prior.copy()
+        if shape is not None:
+            start[list(TORQUES)] = torque
+        place = opening_start(release, problem, start, horizons[0])
+        search = Search(problem, horizons, 1, Effort(), lambda _: None)
+        minimum = search.answers([(place, True), (place, False)], release.run.source)[0]
+        return FittedRelease(release, problem, shape, minimum, horizons)
 
     def with_friction(self, release: RecordedRelease, torques_Nm: Iterable[Array]) -> Iterator[FittedRelease]:
         """Yield fits of a release with free dry friction; fits with negative friction are left out.
@@ -114,7 +138,7 @@ class Attempts:
         problem = opened(release.problem(shape), std)
         start = problem.prior.copy()
         if shape is not None:
-            start[16:18] = torque
+            start[list(TORQUES)] = torque
         horizons = _horizons(release)
         starts = [start]
         if not release.run.phase_absolute:

@@ -22,6 +22,7 @@ from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
+from identification.pendulums.opening_locks import Opening
 from identification.pendulums.release_problem import RecordedRelease
 from identification.pendulums.release_search import NotFollowed
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -71,6 +72,7 @@ class ReleaseRows:
             shape (m,).
         reading: interpretation of a torque that a spin-down found to grow with the square of the speed, if no earlier
             release has decided it: "drag" of the air, or friction with the "contact" force; "" otherwise.
+        unusual_openings: locks that opened at another instant than the rig file allows.
     """
 
     point: str
@@ -86,11 +88,15 @@ class ReleaseRows:
     sentence: str = ""
     by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
     reading: Reading = ""
+    unusual_openings: tuple[Opening, ...] = ()
 
     @property
     def remark(self) -> str:
-        """Sentence that the release shows dry friction which no test has found; empty if it does not."""
-        return f"{self.point} release: {self.sentence}" if "dry friction" in self.sentence and self.followed else ""
+        """Locks that opened at an unusual instant, and dry friction that no test has found; empty without any."""
+        found = [each.sentence for each in self.unusual_openings]
+        if "dry friction" in self.sentence and self.followed:
+            found.append(self.sentence)
+        return f"{self.point} release: {'; '.join(found)}" if found else ""
 
     @property
     def followed(self) -> bool:
@@ -139,7 +145,7 @@ def check_releases(
     return [
         replace(each, reading=case.reading)
         if isinstance(each, ReleaseRows)
-        else case.named(point, run, next(followed), each.release.speed_rad_s)
+        else case.named(point, run, next(followed), each)
         for each, (point, run) in zip(first, released, strict=True)
     ]
 
@@ -195,7 +201,7 @@ class _Case:
         if wrong := [name for name, value in self.identified.values.items() if value <= 0]:
             return replace(empty, sentence=f"{run.source}: not compared, {', '.join(wrong)} must be above 0")
         known = Knowledge.nominal(self.identified.applied_to(self.rig.physics))
-        known = replace(known, terms=tuple(self._term_std))
+        known = replace(known, terms=tuple(self._term_std), release_std_s=self.rig.pendulums.release_std_s)
         try:
             release = RecordedRelease.of(run, known, _ZERO_WIDE * zero_std, "balanced")
         except NotIdentifiable as error:
@@ -267,8 +273,15 @@ class _Case:
         errors = self.identified.terms.errors(self.rig.roles.gain_stds)
         return {label: dict(zip(TERMS, shift.tolist(), strict=True)) for label, shift in errors.items()}
 
-    def named(self, point: str, run: Run, found: Condensed, speed_rad_s: float) -> ReleaseRows:
-        """Return the rows of one release."""
+    def named(self, point: str, run: Run, found: Condensed, fitted: FittedRelease) -> ReleaseRows:
+        """Return the rows of one release.
+
+        Args:
+            point: name of the point.
+            run: recording.
+            found: information of the release on the shared unknowns.
+            fitted: fit with all parameters free.
+        """
         values = self.identified.values
         columns = [found.slopes[name] / value for name, value in values.items()]
         by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
@@ -277,7 +290,7 @@ class _Case:
         by_number = {name: found.slopes[name] for name in numbers if name in found.slopes}
         for name, contact in zip(FRICTION, CONTACT_FRICTION, strict=True):
             if name in by_number:
-                by_number[contact] = by_number[name] * speed_rad_s**2
+                by_number[contact] = by_number[name] * fitted.release.speed_rad_s**2
         shared = {label: by @ shift for label, shift in self.identified.shared_with(self.rig.known).items()}
         known = self.rig.known.sources
         for source in drag.moved_with(known) if drag else known:
@@ -311,6 +324,7 @@ class _Case:
             f"followed{_friction_text(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
             {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
             self.reading,
+            tuple(each for each in fitted.release.openings(fitted.minimum) if each.unusual),
         )
 
     def _relevant_errors(self) -> dict[str, float]:

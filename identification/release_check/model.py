@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identification.least_squares import Minimum
-from identification.pendulums.release_problem import RecordedRelease, Shape
+from identification.pendulums.release_problem import TORQUES, RecordedRelease, Shape
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
 from rig_basics.arrays import Array
@@ -35,8 +35,6 @@ PLACES: Mapping[str, int] = {
 }
 """Indices of the shared unknowns in a release's θ; parameters are in it as their logarithms."""
 
-TORQUES = (16, 17)
-"""Indices of the friction torques in a release's θ, if it has dry friction."""
 _FRICTION_LAW_STD = 0.1  # relative standard deviation of a friction torque by errors of any friction law
 _DRAWS = 60
 _MIN_ROW_SIZE = 1.0  # smallest size of a row in standard deviations, for the smallest relevant errors
