@@ -15,14 +15,14 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import locked_state
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.release_problem import RecordedRelease
-from identification.pendulums.suspension_knowledge import BOW, Knowledge
+from identification.pendulums.suspension_knowledge import Knowledge
 from identification.release_check import ReleaseRows, check_releases
 from identification.release_check.attempts import Attempts
 from identification.release_check.model import Misfit
 from identification.release_check.together import fitted_at
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
-from rig_configs.known import FRICTION, ZERO_A, ZERO_B
+from rig_configs.known import BOW, FRICTION, ZERO_A, ZERO_B
 from rig_configs.suspension_terms import TERMS
 from tests.count_limits import mean_square_limit
 from tests.effort import cases
