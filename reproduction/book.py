@@ -15,6 +15,7 @@ from matplotlib import image
 
 from daq.version import software_version
 from reproduction.files import Written
+from rig_basics.whole_file import write_whole_text
 
 _TEMPLATE = "book.html.j2"
 _TONES = 15  # levels of each colour in the small copies of the figures for the docs
@@ -39,7 +40,7 @@ def write_book(path: Path, made: Sequence[Written]) -> Path:
         classes=_CLASSES,
         wrong=[(one.item.id, claim) for one in made for claim in one.claims if claim["verdict"] != "holds"],
     )
-    path.write_text(page, encoding="utf-8")
+    write_whole_text(path, page)
     return path
 
 
@@ -82,7 +83,7 @@ def write_docs(page: Path, made: Sequence[Written]) -> None:
     for one in made:
         for panel in one.record["panels"]:
             _small_copy(one.folder / f"{panel['name']}.png", figures / _figure_name(one, panel))
-    page.write_text(docs_page(made, figures.name), encoding="utf-8")
+    write_whole_text(page, docs_page(made, figures.name))
 
 
 def _small_copy(figure: Path, copy: Path) -> None:

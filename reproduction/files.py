@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from analysis.figures.style import save, to_svg
 from reproduction.catalogue import Item
 from reproduction.results import Reproduced, SourceTable
+from rig_basics.whole_file import write_whole_text
 
 _RECORD = "item.json"
 _MAX_ROWS = 200  # printed rows of a table in the book
@@ -57,7 +58,7 @@ def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> W
         save(folder / f"{panel.name}.png", panel.figure)
         ids = f"f{item.id}-{panel.name}".replace(".", "-")
         inline = to_svg(panel.figure, ids, panel.description)
-        (folder / f"{panel.name}.inline.svg").write_text(inline, encoding="utf-8")
+        write_whole_text(folder / f"{panel.name}.inline.svg", inline)
     for table in found.tables:
         _write_table(folder / f"{table.name}.parquet", item, table, found.parameters)
     record = {
@@ -71,7 +72,7 @@ def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> W
         "tables": [_table_json(table) for table in found.tables],
     }
     text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
-    (folder / _RECORD).write_text(text + "\n", encoding="utf-8")
+    write_whole_text(folder / _RECORD, text + "\n")
     return Written(item, folder, record)
 
 
@@ -89,7 +90,7 @@ def write_failure(item: Item, folder: Path, fault: Exception) -> None:
         "tables": [],
         "failed": f"{type(fault).__name__}: {fault}",
     }
-    (folder / _RECORD).write_text(json.dumps(record, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    write_whole_text(folder / _RECORD, json.dumps(record, ensure_ascii=False, indent=1) + "\n")
 
 
 def read_item(item: Item, folder: Path) -> Written:

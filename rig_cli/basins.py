@@ -13,10 +13,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from rig_basics.units import TO_RPM
+from rig_basics.whole_file import written_whole
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -60,10 +61,12 @@ class BasinFiles:
     Attributes:
         output: the arrays, .npz.
         plot: the figure.
+        force: whether existing files are replaced.
     """
 
     output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None
     plot: Plot = None
+    force: Force = False
 
 
 _DEFAULT_RELEASES, _NO_FILES = BasinReleases(), BasinFiles()
@@ -127,7 +130,7 @@ def _check(releases: BasinReleases, files: BasinFiles) -> None:
     Raises:
         RigFileError: a file cannot be written, or the number is out of range.
     """
-    check_outputs("rig basins:", files.output, files.plot)
+    check_outputs("rig basins:", files.output, files.plot, force=files.force)
     if files.output is not None and files.output.suffix != ".npz":
         raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {files.output}")
     draws = releases.probabilities
@@ -154,7 +157,8 @@ def _computed(
         took = time.perf_counter() - started
         chances = None if releases.probabilities is None else _chances(what, known, releases, releases.probabilities)
         if files.output is not None:
-            np.savez_compressed(files.output, **_arrays(found))
+            with written_whole(files.output) as part:
+                np.savez_compressed(part, **_arrays(found))
         if place.is_dir():
             TileFolder(place, study).remove()
     if files.plot is not None:

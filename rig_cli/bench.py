@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig_basics.whole_file import write_whole_text
 from rig_cli.console import StepProgress, plain, print_json, wait_for_compilation
 from rig_cli.options import Json
 from rig_configs import load_rig
@@ -174,8 +175,8 @@ def _write(directory: Path, found: _Run, result: dict[str, Any]) -> list[str]:
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{found.file_stem}{suffix}" for suffix in (".md", ".json", ".svg")]
     files = [str(path) for path in paths]
-    paths[0].write_text(markdown(found.page), encoding="utf-8")
-    paths[1].write_text(dumps(plain(result | {"files": files}), ensure_ascii=False, indent=1), encoding="utf-8")
+    write_whole_text(paths[0], markdown(found.page))
+    write_whole_text(paths[1], dumps(plain(result | {"files": files}), ensure_ascii=False, indent=1))
     save(paths[2], found.figure())
     return files
 

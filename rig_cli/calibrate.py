@@ -149,7 +149,7 @@ def calibrate(
     _need_input(kind, known, closings)
     if not options.rehearse:
         warn_of_unusual_settings(loaded)
-    check_outputs("--out", options.out / "log" if options.out.exists() else options.out)
+    check_outputs("--out", options.out / "log" if options.out.exists() else options.out, force=True)
     options.out.mkdir(exist_ok=True)
     with _opened(loaded, device if kind == "sensor" else "", options) as (session, operator):
         log = _begin(session, options.out, device)

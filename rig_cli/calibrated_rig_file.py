@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import tomlkit
 
 from rig_basics.texts import storable
+from rig_basics.whole_file import written_whole
 from rig_configs import RigFileError
 from rig_configs.load import rig_from_text
 from rig_configs.toml_text import read_text
@@ -68,17 +67,8 @@ def write_settings(rig_file: Path, device: str, values: Mapping[str, Any], expec
         table[name] = value
     text = tomlkit.dumps(document)
     rig_from_text(str(rig_file), text)
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(text.encode())
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(path.stat().st_mode & 0o777)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with written_whole(path) as part:
+        part.write_bytes(text.encode())
 
 
 def _document(text: str, source: Path) -> Any:

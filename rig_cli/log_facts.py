@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from daq.catalogue.facts import counted_losses, has_end, one_line, origin_of, outcome_of, state_of
+from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import EventContent, channel_content, event_content, events_of, last_health, raw_content
@@ -55,6 +56,7 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
         "losses": _losses(log, happened),
         "messages": {topic: log.count(topic) for topic in log.topics},
         "channels": channels,
+        "foreign_topics": {topic: log.count(topic) for topic in log.topics if _is_foreign(topic, channels)},
         "raw": {device: asdict(content) for device, content in raw.items()},
         "health": None if health is None else {**health, "time_s": (health["time_ns"] - log.start_ns) * 1e-9},
         "events": dict(sorted(happened.kinds.items())),
@@ -69,6 +71,11 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
     if all_events:
         facts["all_events"] = readable(lambda: list(events_of(log)), [])
     return {**facts, "unreadable": unreadable}
+
+
+def _is_foreign(topic: str, channels: Collection[str]) -> bool:
+    """Return True for a topic that this software does not write."""
+    return topic not in (*channels, EVENTS_TOPIC, HEALTH_TOPIC) and not topic.startswith(RAW_PREFIX)
 
 
 def _file_facts(log: Log, path: Path, verified: Sequence[Missing] | None) -> dict[str, Any]:

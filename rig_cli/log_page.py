@@ -122,6 +122,8 @@ def _channel_lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
                 f"{topic:12}{channel['samples']:12,d} samples {channel['span_s']:11.3f} s {channel['rate_Hz']:10.2f} Hz"
             )
             yield "channel", text.replace(",", " "), ""
+    for topic, count in facts["foreign_topics"].items():
+        yield "topic", f"{topic:12}{count:12,d} messages of another program".replace(",", " "), ""
     for device, raw in facts["raw"].items():
         if raw:
             ways = "" if raw["bytes_in"] is None else f", {size(raw['bytes_in'])} in, {size(raw['bytes_out'])} out"

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from daq.catalogue.query import Query, Sort, parse_instant
 from rig_cli.console import notify, print_json
 from rig_cli.log_table import print_logs
-from rig_cli.options import Json, check_outputs
+from rig_cli.options import Force, Json, check_outputs
 from rig_cli.share_progress import share_progress
 from rig_cli.words import local_time
 
@@ -142,6 +142,7 @@ def log(
     events: Flag = False,
     snapshot: Flag = False,
     plot: Path | None = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
@@ -155,7 +156,7 @@ def log(
         snapshot: print only the rig file as it was when the log was recorded (TOML).
         plot: draw the whole log into this .svg, .png or .pdf file.
     """
-    check_outputs("rig log: --plot", plot)
+    check_outputs("rig log: --plot", plot, force=force)
     from daq.log import open_log
     from rig_cli.log_facts import log_facts  # the log's reader takes half a second to import
     from rig_cli.log_page import print_log

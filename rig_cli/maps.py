@@ -13,7 +13,7 @@ from rig_cli.console import notify, plain, print_json, wait_for_compilation
 from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled
+from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -87,12 +87,13 @@ class MapWork:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class MapFiles:
-    """Files of a map; None: not written."""
+    """Files of a map; None: not written. force: whether existing files are replaced."""
 
     output: Annotated[
         Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
     ] = None
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None
+    force: Force = False
 
 
 _PLANE, _WORK, _NO_FILES = MapPlane(), MapWork(), MapFiles()
@@ -180,7 +181,7 @@ def _check_files(files: MapFiles) -> None:
 
     output, plot = files.output, files.plot
     replaces_store = output is not None and output.suffix == ".zarr" and output.is_dir()
-    check_outputs("rig map:", plot, output / "zarr.json" if output and replaces_store else output)
+    check_outputs("rig map:", plot, output / "zarr.json" if output and replaces_store else output, force=files.force)
     if output is not None:
         need_map_suffix(output)
     if plot is not None and plot.suffix.lower() not in SUFFIXES:

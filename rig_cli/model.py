@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import Positive
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
@@ -100,6 +100,7 @@ def predict(
     parameters: ParametersPath = None,
     settings: Settings = None,
     plot: Plot = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
@@ -107,7 +108,7 @@ def predict(
     --balancing and --lost need no speed. With --parameters all effects of the parameters file are included (a bow,
     drag, a suspension that depends on the motion), and the sensors' amplitudes include run-out.
     """
-    check_outputs("rig predict: --plot", plot)
+    check_outputs("rig predict: --plot", plot, force=force)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     changes = settings or []
     if questions.sweep is not None:

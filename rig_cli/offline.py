@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
-from rig_cli.options import WHOLE_LOG, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import WHOLE_LOG, Force, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, overridden
@@ -35,6 +35,7 @@ def identify(
     without: Annotated[list[str] | None, Parameter(help=WITHOUT_HELP, negative="")] = None,
     span: LogSpan = WHOLE_LOG,
     settings: Settings = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.
@@ -44,14 +45,16 @@ def identify(
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.time_span import TimeSpan
+    from daq.log.verdicts import without_verdicts
     from identification import identify as find
     from identification.joint.limits import limits
     from rig_cli import results  # scipy and numba take seconds to import
     from rig_cli.parameters import limit_json
     from studies.runs import load_runs
 
+    logs = without_verdicts(logs)
     _need(logs, "rig identify LOG…")
-    check_outputs("rig identify: -o", output)
+    check_outputs("rig identify: -o", output, force=force)
     held = _held_back(without or [])
     loaded = rig_of_logs(logs, RigUse("rig identify"), rig, settings=settings or [])
     part = TimeSpan(span.from_s, span.to_s)
@@ -132,6 +135,7 @@ def validate(
     axis: AxisAngle = _IDENTIFIED_ANGLE,
     report: Path | None = None,
     settings: Settings = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
@@ -139,10 +143,12 @@ def validate(
     With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
+    from daq.log.verdicts import without_verdicts
     from studies.runs import load_runs
     from studies.validated_runs import keep_verdicts, validated
 
-    _check_validation(logs, report)
+    logs = without_verdicts(logs)
+    _check_validation(logs, report, force)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
     identified = IdentifiedParameters.load(parameters)
@@ -186,14 +192,15 @@ class _Validated:
     warnings: list[str]
 
 
-def _check_validation(logs: tuple[Path, ...], report: Path | None) -> None:
+def _check_validation(logs: tuple[Path, ...], report: Path | None, force: bool) -> None:
     """Check logs and report before the work.
 
     Raises:
         RigFileError, AnalysisError: there is no log, or the report cannot be written.
     """
     _need(logs, "rig validate RIG LOG…")
-    check_outputs("rig validate: --report", report)
+    numbers = None if report is None else report.with_suffix(".json")
+    check_outputs("rig validate: --report", report, numbers, force=force)
     if report is not None:
         from analysis.report.twin import need_free_twin  # matplotlib
 

@@ -20,6 +20,7 @@ Settings = Annotated[
     Parameter(name="--set", help="key=value over the rig file, e.g. suspension.zeta2=0.05; *1.05 and +5% too"),
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="one JSON object on standard output")]
+Force = Annotated[bool, Parameter(name="--force", negative="", help="replace existing files of these names")]
 ParametersPath = Annotated[Path | None, Parameter(name="--parameters", help="parameters.toml over the rig file")]
 
 
@@ -90,14 +91,15 @@ def what_if_words(settings: Sequence[str] | None, before: str = "") -> str:
     return f"{before}what if {', '.join(settings)}" if settings else ""
 
 
-def check_outputs(option: str, *paths: Path | None) -> None:
+def check_outputs(option: str, *paths: Path | None, force: bool) -> None:
     """Check that output files can be written, before the work is done.
 
     Args:
         option: option of the files, for messages.
         paths: output files; None for one that was not requested.
+        force: whether existing files may be replaced.
     Raises:
-        RigFileError: the folder does not exist, or the name is that of a folder.
+        RigFileError: the folder does not exist, the name is that of a folder, or the file exists.
     """
     for path in paths:
         if path is not None and not path.parent.is_dir():
@@ -106,3 +108,5 @@ def check_outputs(option: str, *paths: Path | None) -> None:
             )
         if path is not None and path.is_dir():
             raise RigFileError(f"{option} {path}: expected a file's name, this is a folder; give another name")
+        if path is not None and path.is_file() and not force:
+            raise RigFileError(f"{option} {path}: the file exists; give --force to replace it, or another name")

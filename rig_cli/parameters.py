@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
-from rig_cli.options import Json, check_outputs
+from rig_cli.options import Force, Json, check_outputs
 from rig_cli.parameters_budget import budget
 from rig_cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, Rig, RigFileError, load_rig
@@ -91,6 +91,7 @@ def history(
     rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
     plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
     level: Annotated[Chance, Parameter(help="probability of marking any change if there is none")] = 0.01,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.
@@ -102,7 +103,7 @@ def history(
     from identification.history import parameter_history as follow
 
     if plot is not None:
-        check_outputs("rig parameters history: --plot", plot)
+        check_outputs("rig parameters history: --plot", plot, force=force)
     found = follow(list(places) or [Path()], rig)
     if plot is not None:
         from analysis.figures.style import save  # matplotlib is slow

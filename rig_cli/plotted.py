@@ -15,6 +15,7 @@ from analysis.rig_model import RigModel
 from daq.guided_test_kinds import point_of
 from daq.log import open_log
 from daq.log.rig_of_logs import RigUse, rig_of_logs
+from daq.log.verdicts import without_verdicts
 from daq.signals.run import Run, load_run
 from rig_cli.console import STDERR
 from rig_cli.options import warn_of_filled
@@ -35,7 +36,7 @@ def logs_in(kind: str, places: Sequence[Path]) -> tuple[list[Path], frozenset[Pa
     if kind == "history":
         return list(places), frozenset()
     logs, of_folders = list[Path](), set[Path]()
-    for place in places:
+    for place in without_verdicts(places):
         if not place.is_dir():
             logs.append(place)
             continue

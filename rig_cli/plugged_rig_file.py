@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import tomlkit
 
+from rig_basics.whole_file import write_whole_text
 from rig_cli.options import check_outputs
 from rig_configs import RigFileError, parse_setting
 from rig_configs.load import apply_setting, shipped_rigs
@@ -23,7 +24,7 @@ def need_free(output: Path) -> None:
     Raises:
         RigFileError: the folder does not exist, or a file of that name exists that `rig virtual` has not written.
     """
-    check_outputs("--output", output)
+    check_outputs("--output", output, force=True)
     if output.exists() and not read_text(output).startswith(_FIRST_LINE):
         raise RigFileError(f"--output {output}: a file of this name exists; give another name, or remove the file")
 
@@ -48,7 +49,7 @@ def write_plugged(rig: str, settings: Sequence[str], ports: Mapping[str, str], o
             apply_setting(cast(dict[str, Any], document), key, value, "--set")
     for name, port in ports.items():
         document["devices"][name]["port"] = port
-    output.write_text(f"{_FIRST_LINE}\n{tomlkit.dumps(document)}", encoding="utf-8")
+    write_whole_text(output, f"{_FIRST_LINE}\n{tomlkit.dumps(document)}")
 
 
 def _text(rig: str) -> str:

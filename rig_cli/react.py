@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -50,13 +50,14 @@ def react(
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is balanced again.
 
     The motion starts in the stable state of the rig before the change and continues with --change at the same speed.
     """
-    check_outputs("rig react: --plot", plot)
+    check_outputs("rig react: --plot", plot, force=force)
     if not change:
         raise RigFileError("rig react: expected --change KEY=VALUE, as imbalance.radius_m=+20%")
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, status_line
-from rig_cli.options import Json, ParametersPath, check_outputs
+from rig_cli.options import Force, Json, ParametersPath, check_outputs
 from rig_configs import IdentifiedParameters, RigFileError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def report(
         Path | None,
         Parameter(name=["--output", "-o"], help="the HTML file; by default report.html in the first folder"),
     ] = None,
-    force: Annotated[bool, Parameter(negative="", help="replace an existing report")] = False,
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Write the report of a campaign's logs, at any time; exit 1 when a point fails.
@@ -73,10 +73,12 @@ def report(
 
 def _logs(places: Sequence[Path]) -> list[Path]:
     """Return all logs: those given by name, and those in the given folders or one level below."""
+    from daq.log.verdicts import without_verdicts  # pydantic takes a while to import
+
     if not places:
         raise RigFileError("no log given; usage: rig report DIR|LOG…")
     logs: list[Path] = []
-    for place in places:
+    for place in without_verdicts(places):
         if place.is_dir():
             found = sorted([*place.glob("*.mcap"), *place.glob("*/*.mcap")])
             if not found:
@@ -95,10 +97,7 @@ def _page(output: Path | None, places: Sequence[Path], force: bool) -> Path:
     page = folder / "report.html" if output is None else output
     if page.suffix.lower() not in (".html", ".htm"):
         raise RigFileError(f"rig report: -o {page}: expected a name ending in .html")
-    check_outputs("rig report: -o", page)
-    for taken in (page, page.with_suffix(".json")):
-        if taken.exists() and not force:
-            raise RigFileError(f"rig report: {taken} exists; give --force to replace it, or another -o")
+    check_outputs("rig report: -o", page, page.with_suffix(".json"), force=force)
     return page
 
 

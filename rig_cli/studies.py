@@ -10,7 +10,7 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
-from rig_basics.texts import storable
+from rig_basics.whole_file import write_whole_text
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json, Settings
@@ -48,8 +48,7 @@ def campaigns(
     folder = worked_out(study, _made(out) / "tiles", scheduler, "campaigns")
     found = CampaignResults.of(folder)
     result = {"rig": rig, "seed": seed, "settings": list(settings or []), **_campaigns_json(found)}
-    text = storable(json_text.dumps(result, indent=1, ensure_ascii=False))
-    (out / "campaigns.json").write_text(text, encoding="utf-8")
+    write_whole_text(out / "campaigns.json", json_text.dumps(result, indent=1, ensure_ascii=False))
     if json:
         print_json({**result, "file": str(out / "campaigns.json")})
         return 0
@@ -91,8 +90,7 @@ def archive(
     rows = Reidentified.all_of(worked_out(study, _made(out) / "tiles", scheduler, "campaigns"))
     written = [_written(row, out) for row in rows]
     result = {"rig": rig, "settings": list(settings or []), "campaigns": written}
-    text = storable(json_text.dumps(result, indent=1, ensure_ascii=False))
-    (out / "archive.json").write_text(text, encoding="utf-8")
+    write_whole_text(out / "archive.json", json_text.dumps(result, indent=1, ensure_ascii=False))
     if json:
         print_json({**result, "file": str(out / "archive.json")})
         return 0
@@ -150,7 +148,7 @@ def _written(row: Reidentified, out: Path) -> dict[str, Any]:
     if row.parameters is None:
         return {"name": row.name, "error": row.text}
     path = out / f"{row.name.replace('/', '-')}.toml"
-    path.write_text(row.text, encoding="utf-8")
+    write_whole_text(path, row.text)
     std = row.parameters.std
     return {
         "name": row.name,

@@ -44,8 +44,10 @@ def track(
     in --parameters acts on the motion.
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
+    from daq.log.verdicts import without_verdicts
     from rig_cli.track_page import print_tracking, tracking_json  # numba takes seconds to import
 
+    logs = without_verdicts(logs)
     if not logs:
         raise RigFileError("no log given; usage: rig track LOG…")
     if not 1.0 <= every_ms <= 1000.0:

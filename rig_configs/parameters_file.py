@@ -14,7 +14,7 @@ import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
-from rig_basics.texts import storable
+from rig_basics.whole_file import write_whole_text
 from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError, RigFileError
@@ -196,7 +196,7 @@ class IdentifiedParameters:
         return own | {source.label: self.shift_by(source) for source in known.sources}
 
     def save(self, path: str | Path) -> None:
-        """Write parameters.toml."""
+        """Write parameters.toml; the file is complete, or as it was."""
         document = tomlkit.document()
         document.add(tomlkit.comment("Identified parameters, in place of the values of a rig file."))
         for name, value in self.values.items():
@@ -212,7 +212,7 @@ class IdentifiedParameters:
         if self.terms is not None:
             document["suspension_terms"] = self.terms.table()
         document["provenance"] = self.provenance
-        Path(path).write_text(storable(tomlkit.dumps(document)), encoding="utf-8")
+        write_whole_text(path, tomlkit.dumps(document))
 
     @staticmethod
     def label(path: str | Path) -> str:

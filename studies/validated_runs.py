@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 from analysis.start_ups import START_UPS
 from analysis.validation import Validation, validate
 from daq.errors import RecordingError
-from daq.log.verdicts import LoggedVerdict, keep_verdict
+from daq.log.verdicts import LoggedVerdict, keep_verdict, verdict_path
 from daq.signals.run import Run
 from daq.version import software_version
 from identification.release_check import check_releases, check_run_ups
@@ -47,7 +48,7 @@ def validated(
 
 
 def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> list[str]:
-    """Store each point's verdict next to its log, for `rig logs`; return errors in words.
+    """Store each point's verdict next to its log, for `rig logs`; return errors in words, one for each cause.
 
     Args:
         found: validation.
@@ -56,7 +57,7 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
     """
     digests = {run.source: str(run.metadata["digest"]) for run in runs}
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    faults: list[str] = []
+    faults: dict[str, list[str]] = {}
     repeated = [(START_UPS, each) for series in found.start_ups for each in series.results]
     for name, point in [*found.points.items(), *repeated]:
         if point.source not in digests:  # the point has no log
@@ -74,5 +75,5 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
         try:
             keep_verdict(point.source, verdict)
         except RecordingError as fault:
-            faults.append(str(fault))
-    return faults
+            faults.setdefault(str(fault), []).append(verdict_path(Path(point.source)).name)
+    return [f"{fault}: {', '.join(names)}" for fault, names in faults.items()]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from analysis.errors import BadFigureName
 from analysis.figures.readout import Readout
 from analysis.figures.style import save, to_svg
-from rig_basics.texts import storable
+from rig_basics.whole_file import write_whole_text
 
 SUFFIXES = (".svg", ".png", ".pdf", ".html")
 _TEMPLATE = "page.html"
@@ -32,7 +32,7 @@ def write_figure(path: str | Path, figure: Figure, title: str, readout: Readout 
     if path.suffix.lower() not in SUFFIXES:
         raise BadFigureName(f"figure {path}: expected a name ending in {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".html":
-        path.write_text(storable(page(figure, title, readout)), encoding="utf-8")
+        write_whole_text(path, page(figure, title, readout))
         return
     save(path, figure)
 

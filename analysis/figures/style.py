@@ -17,6 +17,7 @@ from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from analysis.errors import BadFigureName
+from rig_basics.whole_file import written_whole
 
 Array = NDArray[np.floating]
 
@@ -68,10 +69,11 @@ def save(path: Path, figure: Figure) -> None:
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise BadFigureName(f"figure {path}: expected a name ending in .svg, .png or .pdf")
     metadata = {"Date": None} if path.suffix.lower() == ".svg" else None
-    with mpl.rc_context(_SETTINGS):
-        figure.savefig(path, dpi=160, metadata=metadata)
-    if path.suffix.lower() == ".svg":
-        path.write_text(_short(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with written_whole(path) as part:
+        with mpl.rc_context(_SETTINGS):
+            figure.savefig(part, dpi=160, format=path.suffix.lower()[1:], metadata=metadata)
+        if path.suffix.lower() == ".svg":
+            part.write_text(_short(part.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:

@@ -15,6 +15,7 @@ from analysis.maps.file_parts import keys_of, replaced
 from analysis.maps.parquet_files import read_parquet, write_parquet
 from analysis.maps.records import MapRecord, RecordedBorder
 from analysis.maps.zarr_store import need_zarr, read_zarr, write_zarr
+from rig_basics.whole_file import written_whole
 from rig_configs import RigConfigError
 
 SUFFIXES = (".npz", ".parquet", ".zarr")
@@ -50,7 +51,8 @@ def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
     if path.suffix == ".zarr":
         replaced(path, lambda part: write_zarr(part, kept))
     else:
-        replaced(path, lambda part: _write_npz(part, kept))
+        with written_whole(path) as part:
+            _write_npz(part, kept)
     return [path]
 
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.maps.file_parts import keys_of, replaced
+from analysis.maps.file_parts import keys_of
 from analysis.maps.records import MapRecord, RecordedBorder
+from rig_basics.whole_file import written_whole
 
 _KEY = b"rig map"
 
@@ -32,10 +33,12 @@ def write_parquet(path: Path, kept: MapRecord) -> list[Path]:
     lines = _lines(kept.borders, x_keys, y_keys)
     borders = borders_path(path)
     if kept.borders:
-        replaced(borders, lambda part: _write(part, lines, kept.provenance, {}))
+        with written_whole(borders) as part:
+            _write(part, lines, kept.provenance, {})
     else:
         borders.unlink(missing_ok=True)
-    replaced(path, lambda part: _write(part, columns, kept.provenance, shape))
+    with written_whole(path) as part:
+        _write(part, columns, kept.provenance, shape)
     return [path, borders] if kept.borders else [path]
 
 

@@ -31,7 +31,7 @@ from analysis.scores import Z_LIMIT
 from daq.guided_test_kinds import point_of
 from daq.signals.run import Run
 from dynamics.errors import DynamicsError
-from rig_basics.texts import storable
+from rig_basics.whole_file import write_whole_text
 
 _log = logging.getLogger(__name__)
 
@@ -51,9 +51,9 @@ def write_report(path: str | Path, campaign: Campaign) -> Path:
     """
     path = Path(path)
     need_free_twin(path)
-    path.write_text(storable(render(campaign)), encoding="utf-8")
+    write_whole_text(path, render(campaign))
     numbers = json.dumps(twin(campaign), ensure_ascii=False, indent=1, allow_nan=False)
-    twin_path(path).write_text(storable(numbers) + "\n", encoding="utf-8")
+    write_whole_text(twin_path(path), numbers + "\n")
     return path
 
 

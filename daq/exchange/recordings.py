@@ -9,6 +9,7 @@ from daq.exchange.csv_recording import CsvRecording
 from daq.exchange.errors import ExchangeError
 from daq.exchange.matlab_recording import Hdf5Recording, MatRecording
 from daq.exchange.parquet_recording import ParquetRecording
+from daq.mcap.writer import MAGIC
 from rig_configs.regular_file import need_regular
 
 
@@ -30,6 +31,11 @@ def open_recording(path: Path, decimal: str | None = None) -> ColumnFile:
         raise ExchangeError(f"{path}: cannot be read ({fault.strerror}): check the path") from fault
     if not start:
         raise ExchangeError(f"{path}: expected a recording, the file is empty")
+    if start.startswith(MAGIC):
+        raise ExchangeError(
+            f"{path}: expected csv, parquet, mat or hdf5, this is a log already (MCAP); if another program wrote it, "
+            "save its topics as one of these first"
+        )
     if start.startswith(b"PAR1"):
         return ParquetRecording(path)
     if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:520]):

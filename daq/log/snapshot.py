@@ -18,6 +18,7 @@ from rig_configs.schema import Rig
 
 RIG, IDENTITIES, ROLES, CLOCKS = "rig.json", "identities.json", "roles.json", "clocks.json"
 _LONGEST_RANGE_M = 1e3
+_TOPICS_SHOWN = 20
 
 
 def snapshot_of(log: Log) -> dict[str, Any]:
@@ -110,7 +111,8 @@ def _table(log: Log, name: str) -> dict[str, Any]:
         lacking = f" (the file is incomplete: {'; '.join(map(str, log.missing))})" if log.missing else ""
         raise LogError(
             f"{log.path}: expected the attachment {name!r} of a log of this rig, found {sorted(log.attachments)}"
-            f"{lacking}. A recording made elsewhere becomes a log with `rig import`"
+            f"{lacking}. It has the topics {', '.join(log.topics[:_TOPICS_SHOWN]) or 'none'}. What another program "
+            "recorded becomes a log of this rig with `rig import`, once it is saved as csv, parquet, mat or hdf5"
         )
     try:
         table: Any = json.loads(log.attachments[name])

@@ -7,20 +7,16 @@ therefore detected (`LoggedVerdict.is_of`).
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
-import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import BaseModel, Field, ValidationError
 
 from daq.errors import LogError, RecordingError
-from rig_basics.ignoring import ignoring
+from rig_basics.whole_file import write_whole_text
 from rig_configs.regular_file import need_regular
-
-_log = logging.getLogger(__name__)
 
 SUFFIX = ".verdict.json"
 _MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
@@ -60,6 +56,11 @@ def verdict_path(log_path: Path) -> Path:
     return log_path.with_name(log_path.name + SUFFIX)
 
 
+def without_verdicts(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """Return paths of logs without verdict files, which a pattern such as logs/* matches as well."""
+    return tuple(path for path in paths if not path.name.endswith(f".mcap{SUFFIX}"))
+
+
 def keep_verdict(log_path: str | Path, verdict: LoggedVerdict) -> Path:
     """Write the verdict file of a log, replacing an earlier one; readers get the old or the new one, never a part.
 
@@ -70,22 +71,12 @@ def keep_verdict(log_path: str | Path, verdict: LoggedVerdict) -> Path:
         RecordingError: the file cannot be written there.
     """
     path = verdict_path(Path(log_path))
-    written = path.with_name(f"{path.name}.{secrets.token_hex(4)}.new")
     try:
-        try:
-            with open(written, "xb") as file:
-                file.write(verdict.model_dump_json(indent=2).encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(written, path)
-        except BaseException:
-            with ignoring(_log, f"removing {written}", OSError):
-                written.unlink()
-            raise
+        write_whole_text(path, verdict.model_dump_json(indent=2) + "\n")
     except OSError as fault:
         raise RecordingError(
-            f"{path}: the verdict cannot be written next to its log ({fault.strerror}). Make the folder writable, or "
-            "copy the log to a writable one"
+            f"{path.parent}: a verdict cannot be written next to its log ({fault.strerror}). Make the folder "
+            "writable, or copy the logs to a writable one"
         ) from fault
     return path
 

@@ -104,3 +104,16 @@ def test_an_archive_is_identified_with_the_rig_of_each_campaign(
     assert run([*words, str(tmp_path / "given"), "--rig", "virtual"]) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["campaigns"]
     assert "rotor.mass_kg" in row["error"]
+
+
+def test_verdict_files_that_a_pattern_matches_are_passed_over(
+    capsys: pytest.CaptureFixture[str], heavy: Path, tmp_path: Path
+) -> None:
+    verdict = heavy.with_name(heavy.name + ".verdict.json")
+    verdict.write_text("{}", encoding="utf-8")
+    try:
+        assert run(["identify", str(heavy), str(verdict), "-o", str(tmp_path / "p.toml")]) == 0
+        assert run(["plot", "time", str(heavy), str(verdict), "-o", str(tmp_path / "a.svg")]) == 0
+    finally:
+        verdict.unlink()
+    assert "verdict.json" not in capsys.readouterr().err
