@@ -61,13 +61,12 @@ def column(
     noise_m: float = 2e-6,
     stiffer: float = 1.0,
 ) -> Column:
-    """Integrate a run-up to a speed that is then held for 3 s."""
-    steps = round((top_rpm / ramp_rpm_s + 3.0) * RATE_HZ)
-    time = np.arange(steps) / RATE_HZ
-    rpm = np.minimum(ramp_rpm_s * time, top_rpm)
-    omega = rpm * 2 * np.pi / 60
+    """Integrate a run-up to a speed that is held for 3 s, and a run-down with the same ramp."""
+    time = np.arange(round((2 * top_rpm / ramp_rpm_s + 3.0) * RATE_HZ)) / RATE_HZ
+    rpm = np.clip(np.minimum(ramp_rpm_s * time, ramp_rpm_s * (time[-1] - time)), 0.0, top_rpm)
+    steps, omega = len(time), rpm * 2 * np.pi / 60
     psi = np.cumsum(omega) / RATE_HZ
-    alpha = np.where(rpm < top_rpm, ramp_rpm_s * 2 * np.pi / 60, 0.0)
+    alpha = np.gradient(omega, time)
     moment = share * rig.moment_kg_m
     forces = (
         moment * (omega**2 * np.cos(psi) + alpha * np.sin(psi)),
