@@ -5,6 +5,7 @@ The displacement is that of two oscillators under an unbalance on a ramp, integr
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -60,13 +61,12 @@ def column(
     noise_m: float = 2e-6,
     stiffer: float = 1.0,
 ) -> Column:
-    """Integrate a run-up to a speed that is then held for 3 s."""
-    steps = round((top_rpm / ramp_rpm_s + 3.0) * RATE_HZ)
-    time = np.arange(steps) / RATE_HZ
-    rpm = np.minimum(ramp_rpm_s * time, top_rpm)
-    omega = rpm * 2 * np.pi / 60
+    """Integrate a run-up to a speed that is held for 3 s, and a run-down with the same ramp."""
+    time = np.arange(round((2 * top_rpm / ramp_rpm_s + 3.0) * RATE_HZ)) / RATE_HZ
+    rpm = np.clip(np.minimum(ramp_rpm_s * time, ramp_rpm_s * (time[-1] - time)), 0.0, top_rpm)
+    steps, omega = len(time), rpm * 2 * np.pi / 60
     psi = np.cumsum(omega) / RATE_HZ
-    alpha = np.where(rpm < top_rpm, ramp_rpm_s * 2 * np.pi / 60, 0.0)
+    alpha = np.gradient(omega, time)
     moment = share * rig.moment_kg_m
     forces = (
         moment * (omega**2 * np.cos(psi) + alpha * np.sin(psi)),
@@ -159,10 +159,11 @@ def test_pendulums_without_encoders_imply_only_what_they_cannot_balance() -> Non
 
 def test_a_run_up_with_hung_lasers_ends_before_the_first_resonance(tmp_path: Path) -> None:
     """The whole way of a session: far ends, drivers, interlocks, the stop of the drive."""
-    with pytest.raises(DeviceError, match="laser/x: moves by"), Rehearsal("virtual", tmp_path) as rig:
+    with contextlib.suppress(DeviceError), Rehearsal("virtual", tmp_path) as rig:
         for laser in ("laser_x", "laser_y"):
             rig._far.ask("fail", device=laser, what="code", value=33_000)
-        rig.record("run-up", top_rpm=400.0, duration_s=16.0)
+        with pytest.raises(DeviceError, match="laser/x: moves by"):
+            rig.record("run-up", top_rpm=400.0, duration_s=16.0)
     (log,) = tmp_path.glob("*.mcap")
     with open_log(log) as opened:
         assert float(opened["motor"].speed_rpm.max()) < 180.0

@@ -101,6 +101,12 @@ def test_a_wrong_range_is_found_and_the_other_devices_are_still_checked() -> Non
     assert not found["laser_y"]["rate_Hz"].failed
 
 
+def test_a_laser_that_hangs_is_found() -> None:
+    found = failed(checked(prepare=lambda far: _fault(far, "laser_x", "code", value=33_000)))
+    assert set(found) == {"laser_x equal_samples"}
+    assert "the sensor hangs" in found["laser_x equal_samples"]
+
+
 def test_a_wrong_serial_number_is_found() -> None:
     found = failed(checked(stated=["devices.laser_y.serial=12345"]))
     assert set(found) == {"laser_y opened"}

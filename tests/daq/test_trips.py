@@ -139,6 +139,17 @@ def test_without_a_drive_the_index_marks_give_the_speed() -> None:
         assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == speed
 
 
+def test_index_marks_give_the_speed_of_a_drive_that_reports_another() -> None:
+    for last_ms, speed in ((-20, 600.0), (-900, 476.0)):  # then the marks have ceased
+        trips, recent = made(), Recent(10.0)
+        recent.add(motor(T0 - S // 20, 476.0))
+        for number, ms in enumerate((last_ms - 100, last_ms)):
+            at = np.array([T0 + ms * 1_000_000])
+            recent.add(Batch(TACHO, at, np.zeros(1, np.uint32), {"revolutions": np.array([number])}))
+        trips.tripped("speed disagreement", "x", T0)
+        assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == speed
+
+
 @given(st.integers(0, 9000), st.integers(1, 300), st.integers(0, 2**31))
 def test_the_excerpt_is_bounded_and_is_json_and_keeps_peaks_and_gaps(n: int, none: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -140,3 +140,17 @@ def test_only_interlocks_that_the_rig_has_are_listed() -> None:
     by_hand = load_rig("by_hand")
     assert "runaway" not in Lamps(Signals(by_hand, 0)).all
     assert set(Lamps(_signals()).all) == {row.name for row in INTERLOCKS if row.has_role(RIG.roles)}
+
+
+def test_the_index_marks_give_the_speed_and_the_drive_only_after_they_ceased() -> None:
+    """A drive with a wrong number of pole pairs reports 476 rpm of a rotor that turns at 544."""
+    signals = Signals(RIG, 0)
+    marks = np.arange(0, 3 * SECOND, round(60 / 544 * SECOND))
+    reports = np.arange(0, 6 * SECOND, SECOND // 100)
+    signals.feed("tacho", marks, {"revolutions": np.arange(len(marks))})
+    signals.feed(
+        "motor", reports, {"speed_rpm": np.full(len(reports), 476.0), "target_rpm": np.full(len(reports), 476.0)}
+    )
+    assert signals.rpm(2.5) == pytest.approx(544, rel=1e-6)
+    assert signals.rpm(5.9) == 476.0
+    assert np.isnan(signals.rpm(9.0))
