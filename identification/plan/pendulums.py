@@ -196,9 +196,7 @@ def _moving(state: Array, grid: Array, step: float, history: SpeedHistory, physi
     return grid[: last + round(_AFTER_REST_S / _INSTANT_S)]
 
 
-def _release_friction(
-    physics: RotorParameters, start: Array, grid: Array, step: float, history: SpeedHistory
-) -> Array:
+def _release_friction(physics: RotorParameters, start: Array, grid: Array, step: float, history: SpeedHistory) -> Array:
     """Return the derivatives of a release's angles by the friction of A and B, shape (n, 4).
 
     They are those by a torque, per 1e-6 N m, and by friction with the contact force, per 1e-9 kg m².
