@@ -20,6 +20,7 @@ from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import friction_messages, with_shared_friction, without_known
+from identification.locked_pendulums import loose_locks
 from identification.methods import advice, reduced_to_given, runs_for, skipped_tests, turns
 from identification.mounting import as_mounted, mounting_remarks
 from identification.pendulums.drag import FoundDrag, found_drag, with_undecided_drag
@@ -253,9 +254,9 @@ def identify(
         f"{Path(run.source).name}: {remark}" for run in runs for remark in phase_remarks(run, turns(run.test))
     ]
     work.warnings += skipped_tests(runs)
-    ring_downs, messages = fit_ring_downs(
-        runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.notify, work.without
-    )
+    plucked = runs_for("ring-down", runs)
+    work.warnings += [f"{Path(run.source).name}: {each.sentence}" for run in plucked for each in loose_locks(run)]
+    ring_downs, messages = fit_ring_downs(plucked, rig.physics.total_mass_kg, setting, work.notify, work.without)
     work.warnings += messages
     for found in ring_downs:
         work.add(found.run, found.fit, found.estimate, found.tests)
@@ -318,6 +319,8 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
+    if loose := loose_locks(run):
+        raise NotIdentifiable(f"{run.source}: {'; '.join(each.sentence for each in loose)}")
     terms = work.suspension_terms().terms
     known = known_suspension(work.knowledge().physics, terms, work.axis_angle_deg - run.turn_deg)
     fit = fit_run_up_run(run, setting=work.setting, known=known, without=work.without)

@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.lock_positions import lock_tolerance_deg
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from identification.tracking.tracker import SensorNoise, Tracker
 from live.model import LiveModel
@@ -26,6 +27,8 @@ _MAX_TRACKED = 20_000
 _BATCH_S = 0.1  # encoder samples per call of the tracker
 _ROW_S = 0.2
 _COMPILED_RPM = 400.0  # speed of the calls that compile the code
+_PENDULUMS = ("A", "B")
+_NO_RANGE = (math.inf, -math.inf)
 _C3, _C4 = "c3_Nms_per_rad", "c4_Nms_per_rad"
 
 
@@ -39,7 +42,11 @@ def compile_followers(rig: Rig, model: LiveModel) -> None:
 
 
 class Damping:
-    """c3 and c4 by the online tracker.
+    """c3 and c4 by the online tracker; NaN for a pendulum that is locked.
+
+    A pendulum counts as locked while its lock is reported closed, and until it has moved by more than a closed lock
+    allows: an encoder without reports of locks has the same flags for open and closed ones, and a pendulum that stands
+    still would otherwise be tracked as one with a very large damping.
 
     Args:
         signals: signals of a rig with encoders.
@@ -52,6 +59,8 @@ class Damping:
         step = roles.angles.step_rad if roles.angles else SensorNoise.encoder_step_rad
         self._tracker = Tracker(model.physics, SensorNoise(encoder_step_rad=step), released=(False, False))
         self._closed: list[bool | None] = [None, None]
+        self._ranges: list[tuple[float, float]] = [_NO_RANGE, _NO_RANGE]
+        self._least_rad: float = math.radians(lock_tolerance_deg(roles.zero_std_deg))
         self._done_s = self._marks_s = -math.inf
         self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MAX_TRACKED)
         a, b = model.physics.a, model.physics.b
@@ -81,10 +90,24 @@ class Damping:
         if not len(times):
             return
         self._locks(times, flags.astype(np.int64))
+        self._ranges = [_widened(range_rad, angle) for range_rad, angle in zip(self._ranges, (a, b), strict=True)]
         self._tracker.feed_encoders(_ns(times), np.column_stack([a, b]))
-        now = self._tracker.estimate()
-        if now.trusted and not all(self._closed) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
-            self._rows.append((end_s, now.values[_C3], now.std[_C3], now.values[_C4], now.std[_C4]))
+        now, locked = self._tracker.estimate(), self.locked
+        if now.trusted and len(locked) < len(_PENDULUMS) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
+            shown = [
+                (math.nan, math.nan) if name in locked else (now.values[c], now.std[c])
+                for name, c in zip(_PENDULUMS, (_C3, _C4), strict=True)
+            ]
+            self._rows.append((end_s, *shown[0], *shown[1]))
+
+    @property
+    def locked(self) -> tuple[str, ...]:
+        """Names of the pendulums that are locked."""
+        return tuple(
+            name
+            for name, closed, (low, high) in zip(_PENDULUMS, self._closed, self._ranges, strict=True)
+            if closed or high - low <= self._least_rad
+        )
 
     def _locks(self, times: Array, flags: NDArray[np.int64]) -> None:
         for pendulum, flag in enumerate((LOCK_A_CLOSED, LOCK_B_CLOSED)):
@@ -93,11 +116,19 @@ class Damping:
             for i in np.flatnonzero(closed != np.r_[not closed[0] if before is None else before, closed[:-1]]):
                 switch = self._tracker.lock if closed[i] else self._tracker.release
                 switch(pendulum, int(_ns(times[i : i + 1])[0]))
+                self._ranges[pendulum] = _NO_RANGE
             self._closed[pendulum] = bool(closed[-1])
 
     def between(self, since_s: float, at_s: float) -> Array:
         """Return rows (time, c3, std, c4, std) of an interval, s and N m s/rad, shape (n, 5)."""
         return np.array([row for row in list(self._rows) if since_s <= row[0] <= at_s]).reshape(-1, 5)
+
+
+def _widened(range_rad: tuple[float, float], angle_rad: Array) -> tuple[float, float]:
+    """Return the range of an angle with new readings; NaN is left out."""
+    known = angle_rad[np.isfinite(angle_rad)]
+    low, high = float(np.min(known, initial=math.inf)), float(np.max(known, initial=-math.inf))
+    return min(range_rad[0], low), max(range_rad[1], high)
 
 
 class Followers:

@@ -180,14 +180,14 @@ class Pictures:
         planned = self._followers.planned
         if planned is not None and planned[0] == self._followers.wanted_ramp:
             columns |= {f"ramp.{name}": planned[1][:, i] for i, name in enumerate(_VECTOR)}
-        start = None
+        start, locked = None, list[str]()
         if self._followers.damping is not None:
             tracked = self._followers.damping.between(since_s, now_s)
             columns |= {
                 f"tracked.{name}": tracked[:, i] for i, name in enumerate(("t", "c3", "c3_std", "c4", "c4_std"))
             }
-            start = list(self._followers.damping.start)
-        header = {"kind": "slow", "now_s": now_s, "since_s": since_s, "start": start}
+            start, locked = list(self._followers.damping.start), list(self._followers.damping.locked)
+        header = {"kind": "slow", "now_s": now_s, "since_s": since_s, "start": start, "locked": locked}
         return encode({**header, "trouble": self._followers.trouble}, columns)
 
     def curves(self) -> bytes:

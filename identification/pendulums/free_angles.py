@@ -15,8 +15,11 @@ from identification.pendulums.frictional_motion import frictional_motion, fricti
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import Averages
+from identification.work import spend
 
 _OUTPUT_S = 0.004
+_ELEMENTS_PER_STEP = 15  # work of a step with its derivatives (identification.work): 1.5 µs
+_DRY_COST = 4  # the same with dry friction, over that without
 _STEP_SHARE = 0.08  # step over the inverse of the fastest rate; errors: a few 1e-6 rad, 2e-4 of a derivative
 
 
@@ -108,6 +111,7 @@ def swing(
     if dry is None and np.any(packed[[FA, FB]]):
         dry = np.r_[0.0, 0.0, packed[[FA, FB]]]
     phase = history.phase(start_s)[0]
+    spend(_ELEMENTS_PER_STEP * (last_s - start_s) / step * (1 if dry is None else _DRY_COST))
     if dry is None:
         rate, (psi, omega, alpha) = np.empty(8), phase
         rates(start, psi, omega, alpha, packed, 1.0, 1.0, rate)

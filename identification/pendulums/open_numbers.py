@@ -18,6 +18,7 @@ import numpy as np
 from daq.signals.threads import THREADS
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.transient import TransientProblem
+from identification.work import spend
 from rig_basics.arrays import Array
 
 PENDULUMS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
@@ -66,6 +67,7 @@ def with_open_numbers(
         def column(k: int) -> Array:
             return (angles(own, off + _STEP * np.eye(len(names))[k], end_s, False)[0] - angle) / _STEP
 
+        spend(len(names) * len(angle) * p)  # the threads do not count their work
         with ThreadPoolExecutor(THREADS) as pool:  # the compiled motion releases the interpreter lock
             columns = list(pool.map(column, range(len(names))))
         return angle, np.column_stack([slope, *columns])

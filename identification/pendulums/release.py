@@ -33,6 +33,7 @@ from identification.pendulums.unknown_phase import angles_to_try, screened_start
 from identification.rungs import held_back
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.tracking.release_start import damping_start
+from identification.work import bounded_work
 
 _log = logging.getLogger(__name__)
 
@@ -88,14 +89,29 @@ def fit_release(
         NotIdentifiable: there are no releases, or too few marks or samples.
         ReleaseLeftOut: the model does not follow the angles over any horizon, or the fit does not converge.
         FitFailed: the release does not show the damping.
+        OutOfWork: the bound of the work (identification.work) was reached before an answer.
     Source: docs/theory/pendulum_damping.md.
     """
     check_setting(setting)
+    with bounded_work(f"{run.source}: release"):
+        return _fitted(run, knowledge, zero_std_rad, setting, notify or _ignore, effort or Effort(), without)
+
+
+def _fitted(
+    run: Run,
+    knowledge: Knowledge,
+    zero_std_rad: float,
+    setting: Setting,
+    notify: Notify,
+    effort: Effort,
+    without: Collection[str],
+) -> TransientFit:
+    """Fit a release; arguments and errors as for `fit_release`."""
     release = RecordedRelease.of(run, knowledge, zero_std_rad, setting)
     if max(release.moved_rad) < _MIN_MOVED_RAD:
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
-    horizons, effort, notify = release.horizons(setting), effort or Effort(), notify or _ignore
+    horizons = release.horizons(setting)
     with_friction = "friction" not in held_back(without)
     try:
         release, answers, shape, other = _searched(release, horizons, effort, notify, with_friction)

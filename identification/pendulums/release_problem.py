@@ -21,6 +21,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.least_squares import Minimum
+from identification.locked_pendulums import loose_locks
 from identification.pendulums.free_angles import both_angles, laid_over, log_suspension, swing
 from identification.pendulums.friction import Evidence, Friction, evidence
 from identification.pendulums.known_numbers import answer_to, by_physical_numbers
@@ -117,6 +118,8 @@ class RecordedRelease:
         begin = float(np.max(messages)) + max(_BLOCK_S["balanced"], reach)
         readings = _readings(run, begin, _BLOCK_S[setting])
         sure = float(np.min(messages)) - max(_LOCKED_S, reach)
+        if loose := loose_locks(run, sure):
+            raise NotIdentifiable(f"{run.source}: {'; '.join(each.sentence for each in loose)}")
         before = (run.angle_time_s < sure) & (run.angle_time_s > sure - 2.0)
         if np.count_nonzero(before) < 100:
             raise NotIdentifiable(f"{run.source}: no encoder samples of the locked pendulums before the release")

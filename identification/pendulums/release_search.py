@@ -18,6 +18,7 @@ from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.answers import plausible_answers
 from identification.pendulums.transient import TransientProblem
+from identification.work import tried
 
 _log = logging.getLogger(__name__)
 
@@ -133,6 +134,8 @@ class Search:
         for number, (start, held) in enumerate(starts, 1):
             if number > max(2, self.fewest) and (self.effort.left <= 0 or self.structural):
                 break
+            c3, c4 = np.exp(start[:2]).tolist()
+            tried(f"start {number} at c3 {c3:.2g}, c4 {c4:.2g}")
             if number > 1:
                 self.notify(f"start {number}")
             try:

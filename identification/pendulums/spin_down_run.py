@@ -40,6 +40,7 @@ from identification.pendulums.transient import (
 )
 from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
+from identification.work import bounded_work, tried
 
 _log = logging.getLogger(__name__)
 
@@ -74,10 +75,16 @@ def fit_spin_down_run(
         ValueError: a rung is unknown.
         NotIdentifiable: a pendulum hardly moves.
         FitFailed: the model does not follow the angles.
+        OutOfWork: the bound of the work (identification.work) was reached before an answer.
     Source: docs/theory/pendulum_damping.md.
     """
     check_setting(setting)
-    held = held_back(without)
+    with bounded_work(f"{run.source}: spin-down"):
+        return _fitted(run, knowledge, setting, held_back(without))
+
+
+def _fitted(run: Run, knowledge: Knowledge, setting: Setting, held: frozenset[Rung]) -> TransientFit:
+    """Fit a spin-down; arguments and errors as for `fit_spin_down_run`."""
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
         raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few, 400 are needed")
     declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
@@ -110,6 +117,7 @@ def _fit_from(
     angles: tuple[float, ...] = _ANGLES_TRIED
     for attempts_left in range(_ATTEMPTS, -1, -1):
         end = min(*(float(w.averages.time_s[-1]) for w in whole), begin + TIME_CONSTANTS / slowest, limit)
+        tried(f"the run-down from {begin:.3g} to {end:.3g} s")
         case = SpinDown(whole, declines, begin, end, knowledge)
         case, kinds, answers, rows = _chosen(case, angles, held)
         minimum, problem = answers[0], case.problem(kinds)
@@ -174,7 +182,7 @@ def _chosen(
             for k, score in scores.items()
             if (lost or (score.found and score.step.max() > 0)) and _RUNG[k] not in held
         ]
-        tried: list[tuple[float, SpinDown, Kinds, list[Minimum]]] = []
+        fitted: list[tuple[float, SpinDown, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
             starts = [case.extended(a.theta, kinds, more, {kind: scores[kind].step}) for a in answers[:1]]
@@ -182,14 +190,14 @@ def _chosen(
                 starts += [case.start(more, psi) for psi in angles]
             found = _answers(case, more, starts)
             if case.positive(found[0], more):
-                tried.append((_penalised(found), case, more, found))
+                fitted.append((_penalised(found), case, more, found))
         if off is not None and (lost or off.found):
             wider, theta = case.with_off_axis(answers[0].theta)
             found = _answers(wider, kinds, [theta])
-            tried.append((_penalised(found), wider, kinds, found))
-        if not tried or min(t[0] for t in tried) > _penalised(answers) - _MIN_GAIN:
+            fitted.append((_penalised(found), wider, kinds, found))
+        if not fitted or min(f[0] for f in fitted) > _penalised(answers) - _MIN_GAIN:
             break
-        _, case, kinds, answers = min(tried, key=lambda t: t[0])
+        _, case, kinds, answers = min(fitted, key=lambda f: f[0])
     return case, kinds, answers, rows
 
 

@@ -1,6 +1,8 @@
 """Models of spin-down and release for planning: nonlinear motion of disk and pendulums, encoders with zeros.
 
-The code is independent of the estimators: it has its own parameters and instants, and uses central differences.
+The code is independent of the estimators: it has its own parameters and instants, and uses central differences. Dry
+friction is unknown in a plan as it is in a fit: it has nearly the same effect as viscous damping, so a plan without it
+would promise a fifth of the uncertainty that a spin-down gives.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import fastest_rate, integrate, locked_state
 from identification.estimate import Estimate
 from identification.methods import Method
+from identification.pendulums.frictional_motion import frictional_motion
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import SensorProperties
@@ -27,8 +30,8 @@ _INSTANT_S = 0.004  # interval between the evaluated instants
 _PRIOR_STD: Array = np.array([1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 _DISK_STD_M = 3e-4  # standard deviation of the disk's displacement after a flick
 _LOCKED_STD_M = 2e-5  # standard deviation of the disk's deviation from its locked orbit
-_RELEASE_STD_S = 1e-3
 _LOCKED_RAD: Array = np.radians([0.1, 179.85])  # a lock has play; at exactly 0° and 180° a pendulum may stay at rest
+_AT_REST, _AFTER_REST_S = 0.03, 0.5  # share of its travel within which a pendulum is at rest; time used after that
 _HAND_S = 0.05  # time after a flick in which the hand still touches the pendulum
 _SPIN_DOWN_PHASE_RAD = 0.7  # rotor phase of a spin-down: between the axes, where both directions move
 
@@ -67,7 +70,8 @@ def spin_down(
     prior[7:11] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
     prior[11:] = _PRIOR_STD[:4]
     settings = {"flick_rad_per_s": speed_rad_s, "record_s": record_s}
-    model = _Model(angles, theta, difference, prior)
+    friction = _spin_down_friction(physics, grid[1:], begin)
+    model = _Model(angles, theta, difference, prior, friction)
     return _experiment(test, "spin-down", physics, sensors, model, settings, record_s, used)
 
 
@@ -83,9 +87,10 @@ def release(
         speed_rad_s: rotor speed, rad/s.
         record_s: length after the release, s.
     """
-    grid = _grid(record_s)
     step = 0.12 / fastest_rate(physics, speed_rad_s)
     history = SpeedHistory.constant(speed_rad_s)
+    state = locked_state(physics, speed_rad_s, 0.0, *_LOCKED_RAD)
+    grid = _moving(state, _grid(record_s), step, history, physics)
     omega = physics.natural_frequencies_rad_s[0]
 
     def angles(theta: Array) -> Array:
@@ -110,7 +115,7 @@ def release(
         quarter,
         zero,
         zero,
-        _RELEASE_STD_S,
+        sensors.release_std_s,
         _LOCKED_STD_M,
         _LOCKED_STD_M,
         _LOCKED_STD_M * omega,
@@ -118,8 +123,9 @@ def release(
         _PRIOR_STD,
     ]
     settings = {"speed_rpm": speed_rad_s * TO_RPM, "record_s": record_s}
-    model = _Model(angles, theta, difference, prior)
-    return _experiment(test, "release", physics, sensors, model, settings, record_s, record_s)
+    friction = _release_friction(physics, state, grid, step, history)
+    model = _Model(angles, theta, difference, prior, friction)
+    return _experiment(test, "release", physics, sensors, model, settings, record_s, float(grid[-1]) + _INSTANT_S)
 
 
 @dataclass(frozen=True)
@@ -131,12 +137,14 @@ class _Model:
         theta: nominal θ, shape (p,).
         difference: half-widths of the differences, shape (p,).
         prior: prior standard deviations, shape (p,).
+        friction: derivatives of the angles by unknown friction, shape (n, k).
     """
 
     angles: Callable[[Array], Array]
     theta: Array
     difference: Array
     prior: Array
+    friction: Array
 
 
 def _experiment(
@@ -149,16 +157,55 @@ def _experiment(
     record_s: float,
     used_s: float,
 ) -> Experiment:
-    jacobian = derivatives(model.angles, model.theta, model.difference)
+    jacobian = np.hstack([derivatives(model.angles, model.theta, model.difference), model.friction])
+    prior = np.r_[model.prior, np.full(model.friction.shape[1], np.inf)]
     weight = np.sqrt(sensors.encoder_rate_Hz * _INSTANT_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
-    own = covariance(jacobian * weight, model.prior, 2) * np.outer(values, values)
+    own = covariance(jacobian * weight, prior, 2) * np.outer(values, values)
     shared = sensors.clock_error("angles", values * sensors.clock_rate_std("angles", record_s))
     remarks = ("the suspension is assumed to be known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
     if used_s < record_s:
-        remarks += (f"only the first {used_s:.2g} s (4.5 time constants) contain information",)
+        remarks += (f"only the first {used_s:.2g} s, in which the pendulums move, contain information",)
     expected = Estimate(test, ("planned",), _NAMES, values, own, shared, "Fisher information")
     return Experiment(test, method, settings, record_s, expected, remarks=remarks)
+
+
+def _spin_down_friction(physics: RotorParameters, time_s: Array, speed_rad_s: list[float]) -> Array:
+    """Return the derivatives of both run-downs by a torque of A and B and by one with the square of the speed, (n, 4).
+
+    With δ for the change of an angle, J δ̈ + c δ̇ = −M − F v² e^{−2λt}, λ = c/J, gives with e = e^{−λt}
+    δ = −(M/c) (t − (1 − e)/λ) − F v²/(J λ²) ((1 − e) − (1 − e²)/2). The disk's reaction changes this by a per cent.
+    Each derivative is that by a torque of c v.
+    """
+    n = len(time_s)
+    out = np.zeros((2 * n, 4))
+    for i, (p, speed) in enumerate(zip((physics.a, physics.b), speed_rad_s, strict=True)):
+        rate = p.damping_Nms_per_rad / p.inertia_kg_m2
+        run = 1.0 - np.exp(-rate * time_s)
+        rows = slice(i * n, (i + 1) * n)
+        out[rows, i] = -speed * (time_s - run / rate)
+        out[rows, 2 + i] = -speed / rate * (run - 0.5 * (1.0 - np.exp(-2.0 * rate * time_s)))
+    return out
+
+
+def _moving(state: Array, grid: Array, step: float, history: SpeedHistory, physics: RotorParameters) -> Array:
+    """Return the instants up to the rest of both pendulums; the rounding of a pendulum at rest is no white noise."""
+    angle = integrate(state, grid, step, history.knots_s, history.coefficients, physics.packed(), 1.0, 1.0)[:, 2:4]
+    off = np.abs(angle - angle[-1]) > _AT_REST * np.ptp(angle, axis=0)
+    last = int(np.flatnonzero(off.any(axis=1))[-1]) if off.any() else len(grid)
+    return grid[: last + round(_AFTER_REST_S / _INSTANT_S)]
+
+
+def _release_friction(physics: RotorParameters, start: Array, grid: Array, step: float, history: SpeedHistory) -> Array:
+    """Return the derivatives of a release's angles by the friction of A and B, shape (n, 4).
+
+    They are those by a torque, per 1e-6 N m, and by friction with the contact force, per 1e-9 kg m².
+    """
+    packed, none = physics.packed(), np.zeros(2)
+    knots, coefficients = history.knots_s, history.coefficients
+    _, by = frictional_motion(start, 0.0, grid[1:], step, knots, coefficients, packed, none, True)
+    unit = np.array([1e-6, 1e-6, 1e-9, 1e-9])
+    return np.concatenate([by[:, 2, 15:], by[:, 3, 15:]]) * unit
 
 
 def _grid(record_s: float) -> Array:

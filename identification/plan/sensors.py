@@ -14,6 +14,7 @@ from identification.clocks import clock_label
 from identification.errors import NotIdentifiable
 from identification.samples import white_noise
 from rig_configs.error_label import ErrorLabel
+from rig_configs.roles import USUAL_RELEASE_STD_S
 from rig_configs.schema import Rig
 
 # A rig file does not contain these values. They are usual ones; a log of the rig gives better ones.
@@ -43,6 +44,7 @@ class SensorProperties:
         clocks: name of the clock of each signal, which is that of its device. Signals with the same clock have the same
             clock error.
         measured: whether noise and jitter were measured in a log of this rig.
+        release_std_s: standard uncertainty of the instant at which a lock opens after its message, s.
     """
 
     laser_noise_m: tuple[float, float]
@@ -57,6 +59,7 @@ class SensorProperties:
     clock_jitter_s: Mapping[str, float]
     clocks: Mapping[str, str]
     measured: bool = False
+    release_std_s: float = USUAL_RELEASE_STD_S
 
     @classmethod
     def of(cls, rig: Rig) -> SensorProperties:
@@ -81,6 +84,7 @@ class SensorProperties:
             {name: 1e-6 * role.clock_tolerance_ppm for name, role in there.items()},
             {name: _JITTER_S[name] for name in there},
             {name: role.device for name, role in there.items()},
+            release_std_s=rig.pendulums.release_std_s,
         )
 
     @property

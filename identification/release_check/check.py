@@ -30,6 +30,7 @@ from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, At
 from identification.release_check.model import Condensed, FittedRelease, condensed
 from identification.release_check.together import agreed, fitted_at
 from identification.sources import parts
+from identification.work import bounded_work
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.error_label import ErrorLabel
@@ -207,7 +208,8 @@ class _Case:
         except NotIdentifiable as error:
             return replace(empty, sentence=str(error))
         try:
-            return self.attempts.fitted(release)
+            with bounded_work(f"{run.source}: release"):
+                return self.attempts.fitted(release)
         except FitFailed as error:
             z, chi2 = _off(error, release)
             why = f"{error}: no model near the identified one follows it"

@@ -232,7 +232,8 @@ const broken = (x, y) => { // interrupts the line where it jumps by a turn
 
 class Tracked {
   constructor(element) {
-    element.querySelector(".legend").innerHTML = '<span class="k3">c3</span> <span class="k4">c4</span>, ± 1 std; rig file ┄';
+    element.querySelector(".legend").innerHTML = '<span class="k3">c3</span> <span class="k4">c4</span>, ± 1 std; rig file ┄ <span class="locked"></span>';
+    this.note = element.querySelector(".locked");
     element.querySelector(".k3").style.color = INK.theta3; element.querySelector(".k4").style.color = INK.theta4;
     this.xRange = new Bokeh.Range1d({ start: 0, end: 10 });
     this.yRange = new Bokeh.Range1d({ start: 0, end: 2 });
@@ -247,6 +248,8 @@ class Tracked {
     }
   }
   draw({ header, columns }, now) {
+    const locked = header.locked || [];
+    this.note.textContent = locked.length ? `${locked.join(" and ")} locked: no damping` : "";
     const time = columns["tracked.t"] || [];
     const first_s = header.since_s, end = Math.max(first_s + 10, header.now_s);
     let most = 0;
@@ -258,7 +261,7 @@ class Tracked {
       band.data = { x: time, low, high }; line.data = { x: time, y };
       const first = header.start ? 1e3 * header.start[i] : NaN;
       start.data = { x: [first_s, end], y: [first, first] };
-      most = Math.max(most, first || 0, y.length ? 1.3 * y[y.length - 1] : 0);
+      most = Math.max(most, first || 0, y.length ? 1.3 * (y[y.length - 1] || 0) : 0);
     });
     this.xRange.setv({ start: first_s, end });
     this.calm.fit(0, 1.2 * most, now);

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -186,3 +186,10 @@ class World:
         return Run(
             test, f"{test}.mcap", 0.0, time, lasers[0], time, lasers[1], time, angle, *marks, releases, step, clocks
         )
+
+
+def with_loose_lock(run: Run, pendulum: int, moved_deg: float, at_s: float) -> Run:
+    """Return a run in which a pendulum moves in its closed lock: it stays at another angle from an instant on."""
+    angle = run.angle_rad.copy()
+    angle[run.angle_time_s > at_s, pendulum] += math.radians(moved_deg)
+    return replace(run, angle_rad=angle)
