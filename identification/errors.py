@@ -3,6 +3,7 @@
 IdentificationError
 ├── NotIdentifiable    the record does not contain what the estimator needs (also a ValueError)
 └── FitFailed          the record is complete, but no parameters reproduce it
+    └── work.OutOfWork     the bound of a fit's work was reached before an answer
 """
 
 from rig_basics.errors import RigError

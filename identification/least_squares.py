@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 
 from identification.errors import FitFailed
+from identification.work import spend
 from rig_basics.arrays import Array
 
 _MIN_GAIN = 3e-3  # of χ²
@@ -65,6 +66,7 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
     Raises:
         FitFailed: residual or Jacobian are not finite at the start.
     """
+    evaluate = _counted(evaluate)
     theta = np.array(start, float)
     residual, jacobian = evaluate(theta)
     if not _finite(residual, jacobian):
@@ -105,6 +107,17 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
             if damping > 1e10:
                 break
     return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
+
+
+def _counted(evaluate: Evaluate) -> Evaluate:
+    """Count every evaluation as work."""
+
+    def counted(theta: Array) -> tuple[Array, Array]:
+        residual, jacobian = evaluate(theta)
+        spend(jacobian.size)
+        return residual, jacobian
+
+    return counted
 
 
 def _finite(residual: Array, jacobian: Array) -> bool:
@@ -176,6 +189,7 @@ def solve_separable(model: Model, start: Array, prior: Array, prior_std: Array, 
         residuals, jacobians = list[Array](), list[Array]()
         for block in model(theta):
             q, c = _projected(block)
+            spend(block.basis.size)
             residual = block.data - block.basis @ c
             tangent = block.tangent(c)
             residuals.append(residual)

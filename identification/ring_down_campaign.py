@@ -55,7 +55,7 @@ def fit_ring_downs(
         runs: ring-downs.
         mass_kg: total moving mass, kg.
         setting: effort of the fits.
-        notify: called with one line of text before each fit.
+        notify: called with one line of text before each fit, and for each attempt of a long one.
         without: rungs of the ladder that are not used.
     Returns:
         Fits, and a message for each run or sensor that was left out.
@@ -71,10 +71,11 @@ def fit_ring_downs(
         has_both = bool(len(run.x_time_s) and len(run.y_time_s))
         try:
             if has_both:
-                fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting, without=without), run.turn_deg)
+                fit = fit_ring_down_runs([run], mass_kg, setting=setting, without=without, notify=notify)
+                fit = as_mounted(fit, run.turn_deg)
                 alone.append(FoundRingDown(run, fit, (run.source,), (run.test,), mass_kg))
             else:
-                fit = fit_one_laser(run, mass_kg, setting, without)
+                fit = fit_one_laser(run, mass_kg, setting, without, notify)
                 found.append(FoundRingDown(run, fit, (run.source,), (run.test,), mass_kg))
         except IdentificationError as error:
             sentence = f"{run.test} left out: {error}"
@@ -84,7 +85,8 @@ def fit_ring_downs(
     pairs = [one.run for one in alone] + list(failed.values())
     if len(pairs) > 1 and (failed or any(not _resolves_directions(one.fit) for one in alone)):
         try:
-            fit = as_mounted(fit_ring_down_runs(pairs, mass_kg, setting=setting, without=without), pairs[0].turn_deg)
+            fit = fit_ring_down_runs(pairs, mass_kg, setting=setting, without=without, notify=notify)
+            fit = as_mounted(fit, pairs[0].turn_deg)
         except IdentificationError as error:
             warnings.append(f"joint fit of the ring-downs failed: {error}")
         else:

@@ -42,6 +42,7 @@ from identification.ring_down.start import pair_starts
 from identification.rungs import Rung
 from identification.samples import Averages
 from identification.setting import Setting
+from identification.work import tried
 
 BLOCKS_PER_CYCLE: dict[Setting, int] = {"fast": 12, "balanced": 20, "reference": 64}
 """Averages over 1/n of a cycle lose (2π/n)²/12 of the information: 2.3 %, 0.8 %, 0.08 %."""
@@ -82,6 +83,7 @@ class FitOptions:
             NotIdentifiable: the record after the release is too short.
         """
         fitted = self.from_starts(decay, near)
+        tried(_described(fitted))
         refuse_too_short(fitted)
         fitted = self.with_rungs(self.with_residual_noise(fitted), first=True)
         fitted = self.with_known_noise(self.without_lines(fitted, near))
@@ -319,6 +321,13 @@ class FitOptions:
         ours, theirs = (np.sqrt(np.diag(f.solution.minimum.covariance)) * stretches(f) for f in (short, fitted))
         places = np.arange(2 * fitted.model.modes)
         return short if np.all(ours[places] < theirs[places]) else fitted
+
+
+def _described(fitted: FittedDecay) -> str:
+    """Description of an attempt for the progress: its start, modes and misfit."""
+    begins = ", ".join(f"{begin:.4g}" for begin in fitted.decay.begins)
+    modes = " and ".join(f"{omega / (2 * np.pi):.4g}" for omega in fitted.omegas)
+    return f"from {begins} s on, {modes} Hz, χ²/dof {fitted.solution.chi2_per_dof:.3g}"
 
 
 def _stronger_first(fitted: FittedDecay) -> FittedDecay:

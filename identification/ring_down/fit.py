@@ -6,7 +6,7 @@ The model is in identification.ring_down.model. Estimator, criteria and interval
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -18,7 +18,7 @@ from identification.clocks import clock_errors
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
-from identification.ring_down.attempt import FitOptions
+from identification.ring_down.attempt import BLOCKS_PER_CYCLE, FitOptions
 from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import DecayData, Priors, both_alike, second_mode_gain
 from identification.ring_down.disturbances import foreign_mode, without_lines
@@ -47,6 +47,7 @@ from identification.ring_down.result import Findings, RingDownFit, result
 from identification.rungs import held_back
 from identification.setting import Setting, check_setting
 from identification.sources import Sources
+from identification.work import LIMIT_S, bounded_work
 from rig_configs.suspension_terms import TERMS
 
 Axis = Literal["x", "y"]
@@ -69,6 +70,7 @@ def fit_ring_down(
     axis_prior_deg: float = 30.0,
     without: Collection[str] = (),
     axis: Axis = "x",
+    notify: Callable[[str], None] | None = None,
 ) -> RingDownFit:
     """Fit a free decay.
 
@@ -83,10 +85,12 @@ def fit_ring_down(
             wide that the data decide.
         without: rungs of the ladder that are not used (identification.rungs.RUNGS).
         axis: direction of a single sensor, x for direction 1 and y for direction 2.
+        notify: called with one line of text for each attempt.
     Raises:
         ValueError: a name in `without` is not a rung.
         NotIdentifiable: the record contains no decay, a decay that is too fast or too short, or damping below noise.
         FitFailed: the fit did not converge, or the model leaves a large part of the signal.
+        OutOfWork: the bound of the work (identification.work) was reached before an answer.
     Source: docs/theory/ring_down.md.
     """
     signals = np.asarray(displacement_m, float)
@@ -95,7 +99,8 @@ def fit_ring_down(
     columns = [signals] if signals.ndim == 1 else list(signals.T)
     priors = Priors(_axis_prior(axis_prior_deg))
     record = [(np.asarray(time_s, float), column) for column in columns]
-    return _fit([record], mass_kg, setting, priors, without, "xy" if len(columns) == 2 else axis)
+    with bounded_work("ring-down", notify, _limit_s(1, setting)):
+        return _fit([record], mass_kg, setting, priors, without, "xy" if len(columns) == 2 else axis)
 
 
 @on_one_thread
@@ -106,18 +111,26 @@ def fit_ring_down_runs(
     setting: Setting = "balanced",
     axis_prior_deg: float = 30.0,
     without: Collection[str] = (),
+    notify: Callable[[str], None] | None = None,
 ) -> RingDownFit:
     """Fit several ring-down runs together. Modes and axis angle are common, amplitudes and laser delay individual.
 
     Args:
         runs: any number of "ring-down-x" and "ring-down-y" runs.
         mass_kg: total moving mass, kg.
-        setting, axis_prior_deg, without: as in fit_ring_down.
+        setting, axis_prior_deg, without, notify: as in fit_ring_down.
     Raises:
-        NotIdentifiable, FitFailed: as in fit_ring_down.
+        NotIdentifiable, FitFailed, OutOfWork: as in fit_ring_down.
     """
     pairs = [[(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)] for run in runs]
-    return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S), without)
+    with bounded_work("ring-down", notify, _limit_s(len(runs), setting)):
+        return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S), without)
+
+
+def _limit_s(records: int, setting: Setting) -> float:
+    """Bound of a fit's work, s: per record, and in proportion to the blocks that a finer setting fits."""
+    check_setting(setting)
+    return LIMIT_S * records * max(1.0, BLOCKS_PER_CYCLE[setting] / BLOCKS_PER_CYCLE["balanced"])
 
 
 def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float, sources: Sources = ()) -> Estimate:
@@ -175,7 +188,6 @@ def _fit(
     without: Collection[str],
     axes: str = "xy",
 ) -> RingDownFit:
-    check_setting(setting)
     if mass is not None and not 0 < mass < np.inf:
         raise NotIdentifiable(f"ring-down: a mass above 0 kg is needed, got {mass:g}; leave it out")
     channels, warnings = _read(records, axes)

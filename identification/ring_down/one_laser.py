@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +30,13 @@ def living_lasers(run: Run) -> tuple[Run, list[str]]:
     return replace(run, **gone), [f"{Path(run.source).name}: laser {axis} {what}; check its cable and its range"]
 
 
-def fit_one_laser(run: Run, mass: float, setting: Setting, without: Collection[str] = ()) -> RingDownFit:
+def fit_one_laser(
+    run: Run,
+    mass: float,
+    setting: Setting,
+    without: Collection[str] = (),
+    notify: Callable[[str], None] | None = None,
+) -> RingDownFit:
     """Fit the direction along which the column was pulled, from the laser of this direction.
 
     Raises:
@@ -46,6 +52,5 @@ def fit_one_laser(run: Run, mass: float, setting: Setting, without: Collection[s
     pulled = pulled_along(run.test)
     if pulled is not None and pulled != seen:  # laser x may show either direction after a pull along y
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
-    if len(run.x_time_s):
-        return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting, without=without)
-    return fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting, without=without, axis="y")
+    time_s, value_m = (run.x_time_s, run.x_m) if seen == "x" else (run.y_time_s, run.y_m)
+    return fit_ring_down(time_s, value_m, mass, setting=setting, without=without, axis=seen, notify=notify)
