@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 from urllib.parse import parse_qs
 
 from starlette.responses import PlainTextResponse
@@ -32,8 +33,10 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
+    "Connection": "close",
 }
-"""Headers of every response. BokehJS styles its elements inline: without 'unsafe-inline' its layout breaks."""
+"""Headers of every response. BokehJS styles its elements inline: without 'unsafe-inline' its layout breaks. A
+connection ends with its response, so that each request of a browser passes `live.entrance`."""
 _SENDS = ("POST", "PUT", "PATCH", "DELETE")
 
 
@@ -53,24 +56,55 @@ def hosts_of(name: str, port: int) -> list[str]:
     return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])
 
 
+class Access:
+    """Rules for every request.
+
+    Args:
+        token: token that every request must contain as `?token=…`.
+        hosts: accepted values of the Host header with the port: "127.0.0.1:8123".
+    """
+
+    def __init__(self, token: str, hosts: Collection[str]) -> None:
+        self._token, self._hosts = token.encode(), frozenset(host.lower() for host in hosts)
+
+    def judge(self, scope: Mapping[str, Any]) -> tuple[int, str]:
+        """Return 200, or the status of a refusal with its reason.
+
+        Args:
+            scope: request as in ASGI: type, headers (names in lower case), query_string, method.
+        """
+        host = _only(scope, b"host")
+        if host is None or host.lower() not in self._hosts:
+            return 400, f"expected a Host of {', '.join(sorted(self._hosts))}; open the address that rig live printed"
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
+        if len(given) != 1 or not hmac.compare_digest(given[0].encode(), self._token):
+            return 403, "expected the token of this page; open the whole address that rig live printed"
+        origins = [value for name, value in scope["headers"] if name.lower() == b"origin"]
+        ours = f"http://{host}".lower()
+        if any(origin.decode("latin-1").lower() != ours for origin in origins) or len(origins) > 1:
+            return 403, f"expected the Origin {ours}: other pages may not send requests to this one"
+        if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
+            return 403, f"expected the Origin {ours}, got none: send requests from the page"
+        return 200, ""
+
+
 class Guard:
     """An application behind the access control.
 
     Args:
         app: guarded application.
-        token: token that every request must contain as `?token=…`.
-        hosts: accepted values of the Host header with the port: "127.0.0.1:8123".
+        token, hosts: as for Access.
     """
 
     def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
-        self._app, self._token, self._hosts = app, token.encode(), frozenset(host.lower() for host in hosts)
+        self._app, self._access = app, Access(token, hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request; see ASGI."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        status, why = self.judge(scope)
+        status, why = self._access.judge(scope)
         if status != 200:
             answer = PlainTextResponse(f"{why}\n", status, HEADERS)
             if scope["type"] == "websocket":
@@ -87,22 +121,6 @@ class Guard:
             await send(message)
 
         await self._app(scope, receive, guarded)
-
-    def judge(self, scope: Scope) -> tuple[int, str]:
-        """Return 200, or the status of a refusal with its reason."""
-        host = _only(scope, b"host")
-        if host is None or host.lower() not in self._hosts:
-            return 400, f"expected a Host of {', '.join(sorted(self._hosts))}; open the address that rig live printed"
-        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
-        if len(given) != 1 or not hmac.compare_digest(given[0].encode(), self._token):
-            return 403, "expected the token of this page; open the whole address that rig live printed"
-        origins = [value for name, value in scope["headers"] if name.lower() == b"origin"]
-        ours = f"http://{host}".lower()
-        if any(origin.decode("latin-1").lower() != ours for origin in origins) or len(origins) > 1:
-            return 403, f"expected the Origin {ours}: other pages may not send requests to this one"
-        if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
-            return 403, f"expected the Origin {ours}, got none: send requests from the page"
-        return 200, ""
 
 
 DESKTOP_ORIGINS = ("file://",)
@@ -129,7 +147,7 @@ def judge_without_token(
     return 200, ""
 
 
-def _only(scope: Scope, name: bytes) -> str | None:
+def _only(scope: Mapping[str, Any], name: bytes) -> str | None:
     """Return a header that may occur once; None if it is missing or repeated."""
     found = [value for key, value in scope["headers"] if key.lower() == name]
     return found[0].decode("latin-1") if len(found) == 1 else None

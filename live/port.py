@@ -8,6 +8,8 @@ from ipaddress import ip_address
 from live.errors import PortTaken
 from live.guard import LOOPBACK
 
+_BACKLOG = 1024  # connections that may arrive while none is accepted; a client of a full backlog waits for a second
+
 
 def bound(host: str, port: int) -> socket.socket:
     """Bind a listening socket.
@@ -34,13 +36,19 @@ def bound(host: str, port: int) -> socket.socket:
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind(address)
-        made.listen(64)
+        made.listen(_BACKLOG)
     except OSError as fault:
         made.close()
         raise PortTaken(
             f"{name}:{port}: the page cannot be served there ({fault.strerror}); choose another port or host"
         ) from fault
     return made
+
+
+def page_address(host: str, listening: socket.socket, token: str) -> str:
+    """Return the complete address of a page with its token; `host` as for live.port.bound."""
+    shown = host or LOOPBACK[0]
+    return f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/?token={token}"
 
 
 def _is_any(name: str) -> bool:

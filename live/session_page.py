@@ -1,19 +1,25 @@
-"""The live page of a session in a process of its own, and its commands; omitted samples are counted."""
+"""The live page of a session in processes of its own, and its commands; omitted samples are counted."""
 
 from __future__ import annotations
 
 import math
+import multiprocessing
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from contextlib import ExitStack
+from typing import Any, Self
 
 from daq.acquisition.session import Session
 from daq.errors import DeviceError
 from daq.guided_tests.controls import Controls
 from daq.items import DeviceEvent
+from live.entrance_process import EntranceProcess
+from live.errors import LiveError
 from live.fed_process import FedProcess, drained
+from live.guard import hosts_of, new_token
 from live.newest import Newest
+from live.port import bound, page_address
 from live.signals import Signals
 from live.watched import run_page
 from rig_basics.errors import RigError
@@ -94,21 +100,59 @@ class LivePage(FedProcess):
         host: str = "",
         port: int = 0,
     ) -> None:
-        super().__init__("live page", "the live page", run_page, (rig, identified, source, rate, title, host, port))
+        self._token, self._place, self._url = new_token(), (host, port), ""
+        self._accepted, given = multiprocessing.get_context("spawn").Pipe()
+        self._hosts: list[str] = []  # known to the page's process too, by reference, once the port is bound
+        page = (rig, identified, source, rate, title, self._token, self._hosts, given)
+        super().__init__("live page", "the live page", run_page, page)
+        self._given, self._entrance = given, ExitStack()
+        self._stop_path: EntranceProcess | None = None
         self._asking, self._facts, self._facts_s = Asking(), dict[str, Any](), -math.inf
         self._stop: Callable[[str], None] | None = None
         self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._newest = Newest(Signals(rig, 0).topics)
 
+    def __enter__(self) -> Self:
+        host, port = self._place
+        try:
+            listening = bound(host, port)
+        except LiveError as fault:
+            self._end_pipes()
+            raise LiveError(f"{self._label}: {fault}") from fault
+        with listening:
+            self._url = page_address(host, listening, self._token)
+            self._hosts += hosts_of(host, int(listening.getsockname()[1]))
+            super().__enter__()
+            pid = self._process.pid
+            assert pid is not None
+            path = EntranceProcess(
+                listening, self._token, self._hosts, self._accepted, pid, lambda: self._act("stop", {})
+            )
+            try:
+                self._stop_path = self._entrance.enter_context(path)
+            except LiveError:
+                self.__exit__()
+                raise
+        self._end_pipes()  # the processes have them: each notices the end of the other
+        return self
+
+    def __exit__(self, *exit_: object) -> None:
+        super().__exit__(*exit_)
+        self._entrance.close()
+
+    def _end_pipes(self) -> None:
+        self._accepted.close()
+        self._given.close()
+
     @property
     def url(self) -> str:
         """Address of the page with its token."""
-        return str(self.offered["url"])
+        return self._url
 
     @property
     def token(self) -> str:
         """Token of the page."""
-        return str(self.offered["token"])
+        return self._token
 
     def follow(
         self, session: Session, asking: Asking, stop: Callable[[str], None] | None, facts: Mapping[str, Any]
@@ -158,12 +202,19 @@ class LivePage(FedProcess):
             "rates": session.rates.now(),
             "disk": None if disk is None else disk.facts(),
             "feed_dropped": self._newest.left_out,
-            "trouble": str(session.trouble or session.rotor_warning or ""),
+            "trouble": str(session.trouble or session.rotor_warning or (self._no_stop() if self._stop else "")),
             "can": can,
-            "stop": ""
-            if self._stop is not None
-            else "this session only receives; stop the rig in the program that runs it",
+            "stop": self._no_stop(),
+            "connections": {} if self._stop_path is None else self._stop_path.connections,
         }
+
+    def _no_stop(self) -> str:
+        """Return the reason why STOP is impossible; "" if it is possible."""
+        if self._stop is None:
+            return "this session only receives; stop the rig in the program that runs it"
+        if self._stop_path is not None and not self._stop_path.works:
+            return "STOP of this page has failed: its process ended; use the emergency stop at the rig"
+        return ""
 
     def _on_message(self, message: Mapping[str, Any]) -> None:
         """Carry out a command of the page and send the answer."""
@@ -177,6 +228,8 @@ class LivePage(FedProcess):
         session, controls = self._session, self._asking.controls
         if session is None:
             raise DeviceError(f"{verb}: the rig is not open yet")
+        if session.closed:
+            raise DeviceError(f"{verb}: the run has ended")
         text = str(given.get("text", "")).strip()
         match verb:
             case "stop" if self._stop is not None:

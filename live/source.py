@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from concurrent.futures import Future
 from typing import Any, Protocol
 
+from live.messages import Facts
 from live.signals import Signals
-
-Facts = dict[str, Any]
 
 
 class PageSource(Protocol):

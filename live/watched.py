@@ -5,19 +5,20 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from live.errors import CommandRefused, LiveError
+from live.child_process import ignore_terminal_signals
+from live.errors import CommandRefused
 from live.followers import compile_followers
+from live.handover import received_sockets
 from live.model import LiveModel
-from live.serving import Serving
+from live.serving import PageServer
 from live.signals import Signals
 from live.source import Facts
 from rig_basics.log_output import show_log_as_parent
@@ -47,6 +48,7 @@ _INITIAL: Facts = {
     "trouble": "",
     "answer": "",
     "log": "",
+    "connections": {},
     "stopping": False,
     "ended": False,
 }
@@ -173,24 +175,24 @@ def run_page(
     source: str,
     rate: float,
     title: str,
-    host: str,
-    port: int,
+    token: str,
+    hosts: Sequence[str],
+    connections: Connection,
 ) -> None:
-    """Run the page's process: serve until the other side closes the pipe."""
+    """Run the page's process: serve the connections of a SocketSender until the other side closes the pipe."""
     show_log_as_parent()
-    for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    ignore_terminal_signals()
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
     model = LiveModel(rig, identified, source)
     if rig.roles.angles is not None:
-        compile_followers(rig, model)  # before a rotor turns, because a stop command passes through this process
-    try:
-        serving = Serving(watched, model, host, port)
-    except LiveError as fault:
-        pipe.send({"failed": str(fault)})
-        return
-    with serving:
-        pipe.send({"url": serving.url, "token": serving.token})
+        compile_followers(rig, model)  # before a rotor turns, because a compiler takes time from the recorder
+
+    def adopt() -> None:
+        for accepted, head in received_sockets(connections):
+            server.adopt(accepted, head)
+
+    with PageServer(watched, model, token, hosts) as server:
+        threading.Thread(target=adopt, name="connections", daemon=True).start()
+        pipe.send({"ready": True})
         if watched.follow():
-            serving.page.flush_state(_LAST_STATE_S)
+            server.page.flush_state(_LAST_STATE_S)

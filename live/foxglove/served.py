@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 from collections.abc import Callable, Collection, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from daq.channels import Channel, pack_note
 from daq.drivers.devices import channels_of
 from daq.version import software_version
+from live.child_process import ignore_terminal_signals
 from live.errors import LiveError
 from live.foxglove.client import Turn
 from live.foxglove.protocol import ChannelMessages, Offered, offered
@@ -99,9 +99,7 @@ def facts_of(rig: Rig) -> dict[str, str]:
 def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]) -> None:
     """Serve until the other side closes the pipe."""
     show_log_as_parent()
-    for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    ignore_terminal_signals()
     if hasattr(os, "nice"):  # no part of the rig depends on this process
         os.nice(_NICE)
     packing = Packing(channels_of(rig.devices))

@@ -9,7 +9,7 @@ const post = async (path, body) => {
   if (!answer.ok || result.error) throw new Error(result.error || `answer ${answer.status}`);
   return result;
 };
-const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0, turned: 0, rests: 0, drew: false, stopped: -Infinity };
+const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0, turned: 0, rests: 0, drew: false, stopped: -Infinity, acts: 0 };
 const BUSY_MS = 50, MOST_REST_MS = 200; // between two frames of the browser, one of which drew; a sleeping tab has no frames for hours
 const strips = byId("charts");
 
@@ -102,7 +102,6 @@ const markLink = (now) => {
 const takeState = (state) => {
   page.state = state;
   document.body.dataset.mode = state.mode;
-  if (state.mode !== "replay") document.body.dataset.rig = "yes";
   document.title = `${state.title} – rig live`;
   if (state.ended) for (const panel of document.querySelectorAll(".strip, #orbit, #dial")) panel.classList.remove("stale");
   byId("title").textContent = state.title;
@@ -114,7 +113,7 @@ const takeState = (state) => {
   big.classList.toggle("near", !!nearest && nearest.used >= 0.8 && nearest.used < 1); big.classList.toggle("beyond", !!nearest && nearest.used >= 1);
   showLamps(byId("lamps").querySelector("ul"), state.lamps);
   showTest(byId("test"), state); showHealth(byId("health").querySelector("dl"), state); showEvents(byId("events").querySelector("ol"), state.events);
-  byId("stop").disabled = !state.can.includes("stop"); byId("stop").title = state.stop || "";
+  byId("stop").disabled = state.ended || !!state.stop; byId("stop").title = state.stop || ""; // else pressed at any time: STOP does not wait for a state
   alertOf(state.trouble || "");
   showTransport(state);
   for (const chart of page.charts) if (chart.spoken) chart.element.setAttribute("aria-label", chart.spoken);
@@ -136,7 +135,12 @@ const showTransport = (state) => {
   byId("speed").value = String(state.speed);
 };
 
-const act = (verb, given) => post("act", { verb, ...given }).then((result) => { byId("test").querySelector(".answer").textContent = result.answer || ""; }).catch(failed);
+const MOST_ACTS = 3; // without an answer: a browser has six connections to one address, and STOP needs one
+const act = (verb, given) => {
+  if (page.acts >= MOST_ACTS && page.state && page.state.mode !== "replay") { failed(new Error(`${verb}: earlier commands have no answer yet`)); return Promise.resolve(); }
+  page.acts += 1;
+  return post("act", { verb, ...given }).then((result) => { byId("test").querySelector(".answer").textContent = result.answer || ""; }).catch(failed).finally(() => { page.acts -= 1; });
+};
 const failed = (error) => { alertOf(error.message); };
 
 const stop = () => {

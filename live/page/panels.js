@@ -76,6 +76,8 @@ const showTest = (element, state) => {
   if (state.answer) part(".answer").textContent = state.answer;
 };
 
+const CLOSED_WORDS = { timed_out: "connections without a request closed", displaced: "closed for newer ones", refused: "refused", busy: "turned away" };
+
 const showHealth = (list, state) => {
   const rows = [];
   for (const [device, kinds] of Object.entries(state.losses || {})) {
@@ -85,6 +87,8 @@ const showHealth = (list, state) => {
   if (state.rates) rows.push(["rates", state.rates, true]);
   if (state.disk) rows.push(["disk", `${(state.disk.written_bytes / 1e6).toFixed(1)} MB written${state.disk.slow ? ", SLOW" : ""}`, state.disk.slow]);
   if (state.feed_dropped) rows.push(["page's feed", `${state.feed_dropped} samples left out here (the log has them)`, true]);
+  for (const [address, kinds] of Object.entries(state.connections || {})) rows.push([`from ${address}`, Object.entries(kinds).map(([kind, n]) => `${n} ${CLOSED_WORDS[kind]}`).join(", "), true]);
+  if (state.dropped_viewers) rows.push(["viewers", `${state.dropped_viewers} disconnected: invalid or too many messages`, true]);
   rows.push(["viewers", `${state.viewers}${state.missed ? `; this one missed ${state.missed} frames` : ""}`, false]);
   replaceWhenChanged(list, JSON.stringify(rows), () => rows.flatMap(([name, words, bad]) => {
     const term = document.createElement("dt"), detail = document.createElement("dd");

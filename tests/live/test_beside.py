@@ -154,22 +154,57 @@ def test_a_page_that_was_killed_does_not_end_the_session(
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGSTOP")
+def test_a_stop_passes_a_page_s_process_that_stands_still(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    stops: list[str] = []
+    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    with page, Session(plugged, virtual_rig.clock) as session:
+        page.follow(session, Asking(), stops.append, {})
+        assert page._process.pid is not None
+        os.kill(page._process.pid, signal.SIGSTOP)
+        try:
+            assert _ask(page, "/stop")[0] == 200
+        finally:
+            os.kill(page._process.pid, signal.SIGCONT)
+        assert stops == ["stopped by the button of the live page"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_page_whose_stop_has_failed_says_so(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    with page, Session(plugged, virtual_rig.clock) as session:
+        page.follow(session, Asking(), session.stop, {})
+        parts = urlsplit(page.url)
+        with connect(f"ws://{parts.netloc}/data?{parts.query}", origin=Origin(f"http://{parts.netloc}")) as line:
+            assert page._stop_path is not None
+            page._stop_path._process.kill()
+            state: dict[str, Any] = {"trouble": ""}
+            deadline = time.monotonic() + WAIT_S
+            while "emergency stop" not in state["trouble"] and time.monotonic() < deadline:
+                data = line.recv(timeout=WAIT_S)
+                line.send(json.dumps({"seen": 10**9}))
+                state = json.loads(data) if isinstance(data, str) else state
+        assert "use the emergency stop at the rig" in state["trouble"]
+        session.check()
+
+
 def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(LiveError, match=r"the live page: .*another port"):
         LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
 
 
 def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stop passes through the page's process: it is not to wait for a compiler there while a rotor turns."""
+    """A compiler would take the processor from the recorder while a rotor turns."""
     ours, theirs = Pipe()
+    accepted, given = Pipe()
     sent_before: list[bool] = []
     monkeypatch.setattr(watched, "compile_followers", lambda rig, model: sent_before.append(ours.poll()))
     monkeypatch.setattr(signal, "signal", lambda number, how: None)
-    with ours, theirs:
+    with ours, theirs, accepted, given:
         ours.send({"end": True})
-        watched.run_page(theirs, load_rig("virtual"), None, "rig file", 1.0, "virtual", "", 0)
+        watched.run_page(theirs, load_rig("virtual"), None, "rig file", 1.0, "virtual", "token", [], given)
         assert sent_before == [False]
-        assert ours.recv()["url"].startswith("http://")
+        assert ours.recv() == {"ready": True}
 
 
 def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest.MonkeyPatch) -> None:

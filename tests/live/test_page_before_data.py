@@ -36,7 +36,7 @@ def test_the_server_s_modules_are_imported_before_its_thread_starts(
     serving = Serving(watched, LiveModel(watched.signals.rig))
 
     def started(thread: threading.Thread) -> None:
-        loaded.append(thread.name != "live page" or serving._server.config.loaded)
+        loaded.append(thread.name != "live page" or serving._server._config.loaded)
         start(thread)
 
     start = threading.Thread.start

@@ -147,8 +147,8 @@ def test_what_is_old_is_marked_within_a_second(
 
 def test_a_server_that_is_gone_is_marked_within_a_second(page: Page, serving: Serving, replayed: Replayed) -> None:
     _opened(page, serving, replayed, 20.0)
-    serving._server.should_exit = True
-    serving._thread.join(10)
+    serving._server._server.should_exit = True
+    serving._server._thread.join(10)
     expect(page.locator("#link")).to_have_class("stale", timeout=1500)
     expect(page.locator("#strip-y")).to_have_class(re.compile("stale"), timeout=1500)
 

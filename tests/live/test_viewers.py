@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
@@ -21,9 +22,10 @@ from daq.log.snapshot import rig_of
 from live.errors import PortTaken
 from live.frames import decode
 from live.model import LiveModel
+from live.picture import Pictures
 from live.port import bound
 from live.replayed import Replayed
-from live.server import MOST_UNANSWERED, MOST_VIEWERS
+from live.server import MOST_MESSAGES_PER_S, MOST_UNANSWERED, MOST_VIEWERS, Allowance, pause_s
 from live.serving import Serving
 
 WAIT_S = 20.0
@@ -71,8 +73,11 @@ def test_a_viewer_that_answers_nothing_is_sent_the_last_state(serving: Serving) 
         states = [viewer.state_sent_s for viewer in serving.page._viewers]
         assert states[0] == last_state_s < states[1]  # one state, and it waits again
         assert serving.page._viewers[0].sent == MOST_UNANSWERED
-        received = [asleep.recv(timeout=WAIT_S) for _ in range(MOST_UNANSWERED + 4)]
-        assert isinstance(received[-1], str)
+        frames = 0
+        while frames < MOST_UNANSWERED:
+            data = asleep.recv(timeout=WAIT_S)
+            frames += isinstance(data, bytes) and decode(data)[0]["kind"] == "frame"
+        assert isinstance(asleep.recv(timeout=WAIT_S), str)
 
 
 def test_a_replay_waits_at_its_beginning_until_a_viewer_looks(point_log: Path) -> None:
@@ -206,3 +211,92 @@ def test_a_port_that_is_taken_or_a_host_that_is_all_is_refused() -> None:
             bound(host, 0)
     with pytest.raises(PortTaken, match="no address of this machine"):
         bound("no.such.name.invalid", 0)
+
+
+DEEP = "[" * 2000 + "]" * 2000
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        DEEP,
+        '{"verb": "seek", "to_s": ' + DEEP + "}",
+        '{"verb": "\\ud800"}',
+        '{"verb": "note", "text": "\\udfff"}',
+        '{"verb": "seek", "to_s": 1e999}',
+        '{"verb": "seek", "to_s": ' + "9" * 400 + "}",
+        '{"verb": "seek", "to_s": NaN}',
+    ],
+)
+def test_a_command_that_is_no_usable_object_is_refused(serving: Serving, body: str) -> None:
+    assert _post(serving, "/act", body)[0] == 400
+
+
+def test_a_viewer_that_floods_is_disconnected_and_counted(serving: Serving) -> None:
+    with _viewer(serving) as good, _viewer(serving) as bad:
+        _frames(good, 1)
+        with pytest.raises(ConnectionClosed):
+            _flood(bad)
+        while not (state := json.loads(_text(good)))["dropped_viewers"]:
+            pass
+    assert state["viewers"] == 1
+
+
+def _flood(line: ClientConnection) -> None:
+    for _ in range(20 * int(MOST_MESSAGES_PER_S)):
+        line.send('{"seen": 0}')
+    while True:
+        line.recv(timeout=WAIT_S)
+
+
+def _text(line: ClientConnection) -> str:
+    """The next state; frames before it are answered."""
+    while not isinstance(data := line.recv(timeout=WAIT_S), str):
+        header = decode(data)[0]
+        if header["kind"] == "frame":
+            line.send(json.dumps({"seen": header["number"]}))
+    return data
+
+
+def test_an_allowance_refills_with_time() -> None:
+    now = [0.0]
+    allowance = Allowance(lambda: now[0])
+    most = int(MOST_MESSAGES_PER_S)
+    assert [allowance.take() for _ in range(most + 1)] == [True] * most + [False]
+    now[0] += 10.0
+    assert [allowance.take() for _ in range(most + 1)] == [True] * most + [False]
+
+
+def test_pictures_take_no_more_than_their_share_of_the_time() -> None:
+    for viewers in (1, 8, MOST_VIEWERS):
+        assert viewers * 2e-3 / pause_s(2e-3, viewers) == pytest.approx(0.5)
+
+
+def test_a_stop_passes_a_page_whose_drawing_is_blocked(replayed: Replayed, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked, freed = threading.Event(), threading.Event()
+
+    def stands_still(*_: object) -> bytes:
+        blocked.set()
+        freed.wait(WAIT_S)
+        return b""
+
+    monkeypatch.setattr(Pictures, "frame", stands_still)
+    with Serving(replayed, LiveModel(replayed.signals.rig)) as serving, _viewer(serving):
+        assert blocked.wait(WAIT_S)
+        try:
+            assert _post(serving, "/stop", {}) == (409, {"error": "stop: not possible for a log"})
+            assert not freed.is_set()
+        finally:
+            freed.set()
+
+
+def test_counts_of_connections_are_shown(serving: Serving) -> None:
+    parts = urlsplit(serving.url)
+    connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
+    connection.request("GET", "/")  # without the token
+    assert connection.getresponse().status == 403
+    connection.close()
+    with _viewer(serving) as line:
+        while "connections" not in (state := json.loads(_text(line))):
+            pass
+    assert state["connections"]["127.0.0.1"] == {"refused": 1}
