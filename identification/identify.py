@@ -18,6 +18,7 @@ from daq.signals.witnesses import WitnessAgreement
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
+from identification.joint.drift import with_drift
 from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import friction_messages, with_shared_friction, without_known
 from identification.locked_pendulums import loose_locks
@@ -32,7 +33,7 @@ from identification.pendulums.release_search import Effort
 from identification.pendulums.spin_down_run import damping_estimate, fit_spin_down_run
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
-from identification.physical import keep_physical, physical_parameters, run_up_sides
+from identification.physical import keep_directed, keep_physical, physical_parameters, run_up_sides
 from identification.ring_down.fit import RingDownFit
 from identification.ring_down_campaign import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
@@ -117,10 +118,12 @@ class _Work:
         given = reduced_to_given(estimate, tests)
         if given is None:
             return
-        physical, messages = keep_physical(given, self.rig)
-        self.warnings += messages
-        if physical is not None:
-            self.estimates.append(physical)
+        for keep in (keep_physical, keep_directed):
+            given, messages = keep(given, self.rig)
+            self.warnings += messages
+            if given is None:
+                return
+        self.estimates.append(given)
 
     def knowledge(self) -> Knowledge:
         """Values of the rig file, replaced by the values that the tests so far have found."""
@@ -138,7 +141,7 @@ class _Work:
         known = replace(known, physics=self.suspension_terms().terms.applied_to(known.physics))
         if not self.estimates:
             return known
-        joint = joint_estimate(self.estimates)
+        joint = joint_estimate(with_drift(self.estimates)[0])
         found = joint.parameters
         damping = {n: v for n, v in found.values.items() if n.startswith(("c3", "c4"))}
         slopes = {n: dict(zip(found.values, by.tolist(), strict=True)) for n, by in joint.weighted.by_number.items()}
@@ -376,7 +379,9 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     # each fit takes the known numbers as exact; their uncertainty is added to all estimates together
     work.estimates = [e.with_sources(work.sources) for e in work.estimates]
+    work.estimates, drifts = with_drift(work.estimates)
     parameters, rows, warnings = combine(work.estimates)
+    warnings += drifts
     parameters, messages = physical_parameters(parameters, work.rig)
     warnings += messages
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]

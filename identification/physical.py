@@ -23,6 +23,13 @@ from rig_configs.schema import Rig
 
 _LOCKED_AT = (0.0, math.pi)  # angles of A and B in their locks, rad
 _MIN_HALF_TURN_RAD = math.radians(150)  # a larger deviation is taken for half a turn
+_STIFFNESSES = ("k1_N_per_m", "k2_N_per_m")
+_DIRECTED = (*_STIFFNESSES, "zeta1", "zeta2")
+_MAX_OFF_FILE = 3 * 0.2
+"""Largest |ln| of a stiffness over the rig file's, which states start values.
+
+Three standard uncertainties of a stiffness from a spring's dimensions: 5 % of a wire's diameter change it by 20 %.
+"""
 _CAUSES = {
     "k": "a spring of the other sign; are time and displacement in the units that were given?",
     "zeta": "energy fed in: did something drive the column, and is the record a decay from its beginning?",
@@ -47,6 +54,43 @@ def keep_physical(estimate: Estimate, rig: Rig) -> tuple[Estimate | None, list[s
     ]
     kept = [n for n in estimate.names if n not in refused]
     return (reduced(estimate, kept) if kept else None), messages
+
+
+def keep_directed(estimate: Estimate, rig: Rig) -> tuple[Estimate | None, list[str]]:
+    """Remove k and ζ of a test whose stiffnesses show that the lasers are exchanged; name stiffnesses far off the file.
+
+    Exchanged lasers are the likely cause if k1 and k2 contradict the rig file as they are, and agree with it exchanged.
+
+    Returns:
+        The estimate without k and ζ, or None if no value is left; messages.
+    """
+    own, other = (_off_file(estimate, rig, exchanged) for exchanged in (False, True))
+    far = {name: off for name, off in own.items() if abs(off) > _MAX_OFF_FILE}
+    if not far:
+        return estimate, []
+    found = ", ".join(
+        f"{n} = {estimate.value(n):.4g} N/m is {math.exp(off):.3g} times the rig file's" for n, off in far.items()
+    )
+    logs = log_names(estimate.sources)
+    if max(abs(off) for off in other.values()) > _MAX_OFF_FILE:
+        return estimate, [
+            f"{logs}: {found}. Is the rig file this rig's, are its masses right, and are time and displacement in the "
+            "units that were given?"
+        ]
+    kept = [n for n in estimate.names if n not in _DIRECTED]
+    return (reduced(estimate, kept) if kept else None), [
+        f"{logs}: {found}; exchanged, the stiffnesses agree with the file. Likely: lasers x and y are exchanged. k and "
+        "ζ of this test are left out. Exchange the lasers' cables or their names in the rig file, or k1 and k2 in it"
+    ]
+
+
+def _off_file(estimate: Estimate, rig: Rig, exchanged: bool) -> dict[str, float]:
+    """Logarithm of each stiffness over that of the rig file, or over that of the other direction if exchanged."""
+    stated = rig.physics.identified()
+    names: list[str] = [n for n in _STIFFNESSES if n in estimate.names]
+    of = reversed(_STIFFNESSES) if exchanged else _STIFFNESSES
+    beside = {name: stated[other] for name, other in zip(_STIFFNESSES, of, strict=True)}
+    return {name: math.log(estimate.value(name) / beside[name]) for name in names}
 
 
 def physical_parameters(parameters: IdentifiedParameters, rig: Rig) -> tuple[IdentifiedParameters, list[str]]:

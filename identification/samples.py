@@ -52,6 +52,39 @@ class Averages:
         return Averages(self.time_s[keep], self.spread_s2[keep], self.value[keep], self.count[keep], self.noise)
 
 
+def checked_times(time_s: np.ndarray, *, any_order: bool = False) -> Array:
+    """Sample times as floats, after a check of what no fit can use.
+
+    Args:
+        time_s: shape (n,), s, ascending; NaN is permitted. A few repeated times are permitted.
+        any_order: whether times may also run backwards, for a fit that sorts them.
+    Raises:
+        NotIdentifiable: the times are dates or text, run backwards, or most of them are repeated.
+    """
+    given = np.asarray(time_s)
+    if given.dtype.kind not in "fiu":
+        raise NotIdentifiable(
+            f"expected times in seconds as real numbers, got an array of {given.dtype}; convert dates, e.g. by "
+            "(time - time[0]) / numpy.timedelta64(1, 's')"
+        )
+    if given.ndim != 1:
+        raise NotIdentifiable(f"expected times of shape (n,), got {given.shape}")
+    time = np.ascontiguousarray(given, float)
+    finite = time[np.isfinite(time)]
+    finite = np.sort(finite) if any_order else finite
+    steps = np.diff(finite)
+    if np.any(steps < 0):
+        at = int(np.argmax(steps < 0))
+        raise NotIdentifiable(f"time runs backwards after sample {at} ({finite[at]:.6g} s); sort the recording by time")
+    repeated = np.flatnonzero(steps == 0)
+    if 2 * len(repeated) >= len(steps) > 0:
+        raise NotIdentifiable(
+            f"{len(repeated)} of {len(finite)} times repeat the time before, first {finite[repeated[0]]:.6g} s; give "
+            "each sample its own time. A time with too few digits, or that of a packet, belongs to one sample only"
+        )
+    return time
+
+
 def white_noise(value: np.ndarray) -> float:
     """Standard deviation of the white part, from third differences limited by their median (robust to gaps and steps).
 

@@ -22,6 +22,7 @@ from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, rounded_fit
 from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
+from identification.samples import checked_times
 from identification.setting import ModelChoice, Setting, check_setting
 
 FRICTION_P = 5e-4
@@ -98,6 +99,7 @@ def fit_spin_down(
     check_setting(setting)
     if inertia_kg_m2 is not None and not 0 < inertia_kg_m2 < np.inf:
         raise NotIdentifiable(f"spin-down: an inertia above 0 kg m² is needed, got {inertia_kg_m2:g}; leave it out")
+    time_s = checked_times(time_s, any_order=True)
     whole = decline_of(time_s, angle_rad)
     start_s, data, theta = _settled(whole)
     dry = _with_friction(data, theta, setting)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.ring_down.backbone import Backbone
+from identification.ring_down.backbone import REFERENCE_M, Backbone
 from identification.ring_down.decay import (
     COARSE_S,
     DecayData,
@@ -32,6 +32,7 @@ from identification.ring_down.disturbances import (
     without_mode,
     without_other,
 )
+from identification.ring_down.evidence import rubs
 from identification.ring_down.model import BETA
 from identification.ring_down.modes import Start, damped_periodogram, rate
 from identification.ring_down.outliers import suspicious, trimmed
@@ -89,7 +90,10 @@ class FitOptions:
         fitted = self.with_known_noise(self.without_lines(fitted, near))
         fitted = self.with_hidden_mode(fitted)
         fitted, _ = self.without_outliers(fitted)
-        return self.with_rungs(fitted if self.turned else self.with_second_mode(fitted))
+        fitted = self.with_rungs(fitted if self.turned else self.with_second_mode(fitted))
+        if any(rubs(*falling) for falling in _falling(fitted)):
+            tried("there the damping falls with amplitude: dry friction in the suspension?")
+        return fitted
 
     def with_rungs(self, fitted: FittedDecay, first: bool = False) -> FittedDecay:
         """Add the amplitude dependence of the modes' rates that the data require.
@@ -328,6 +332,16 @@ def _described(fitted: FittedDecay) -> str:
     begins = ", ".join(f"{begin:.4g}" for begin in fitted.decay.begins)
     modes = " and ".join(f"{omega / (2 * np.pi):.4g}" for omega in fitted.omegas)
     return f"from {begins} s on, {modes} Hz, χ²/dof {fitted.solution.chi2_per_dof:.3g}"
+
+
+def _falling(fitted: FittedDecay) -> list[tuple[float, float]]:
+    """Decrease of each mode's damping ratio up to its largest amplitude, and the ratio at zero amplitude."""
+    backbone = fitted.model.backbone
+    if backbone is None:
+        return []
+    rates = [fitted.model.mode_rates(fitted.theta, mode) for mode in range(fitted.model.modes)]
+    levels = zip(rates, backbone.largest_m, strict=True)
+    return [(-own.drag * largest / REFERENCE_M, own.zeta) for own, largest in levels]
 
 
 def _stronger_first(fitted: FittedDecay) -> FittedDecay:

@@ -12,6 +12,7 @@ from numba import njit
 from identification.errors import FitFailed, NotIdentifiable
 from identification.ring_down.decay import COARSE_S, FittedDecay
 from identification.ring_down.disturbances import is_disturbed, mode_size
+from identification.ring_down.over_amplitude import RatesOverAmplitude
 from identification.ring_down.record import SensorRecord, sample_noise
 from identification.ring_down.scores import stretches
 from identification.samples import usual_interval
@@ -25,6 +26,12 @@ _ZETA_OF_ONE_PERIOD = 1 / (2 * np.pi)  # damping ratio of a mode that falls to 1
 _MAX_ZETA = 0.5  # of a mode of the suspension
 _MIN_BEFORE_S = 0.1  # of a record before the start of its fit
 _MAX_EARLY_RATIO, _MAX_MISFIT = 4.0, 0.01  # early over late residuals; early residuals over the strongest mode
+_MAX_FALL = 0.25
+"""Fall of ζ with amplitude over ζ at the largest amplitude, above which ζ is refused.
+
+With dry friction the viscous ratio lies below both. Of decays with 0.6 to 5 % of friction at the largest amplitude, the
+value at zero amplitude is too large by 0.75 to 0.9 of the fall. Beyond this limit its error is larger than a sixth.
+"""
 _MAX_NOISE_RATIO, _FEW_SAMPLES = 0.7, 25.0  # noise of residuals over noise of differences; samples per cycle
 
 
@@ -89,6 +96,55 @@ def refuse_misfit(fitted: FittedDecay) -> None:
             f"{1e6 * late:.3g} µm later, {early / late:.2g} times as much: this is not noise but motion other than a "
             f"free decay; does the fit, from {fitted.decay.begins[0]:.4g} s on, begin before the release?"
         )
+
+
+class DryFriction(FitFailed):
+    """Dry friction damps the decay. No other start and no other sensor of the record helps."""
+
+
+def rubs(fall: float, zeta: float) -> bool:
+    """Whether damping falls with amplitude so much that dry friction is a part of it that must not be neglected.
+
+    Args:
+        fall: decrease of the damping ratio from zero amplitude to the largest one.
+        zeta: damping ratio at zero amplitude.
+    """
+    return fall > _MAX_FALL * max(zeta - fall, 0.0)
+
+
+def refuse_dry_friction(nonlinear: Sequence[RatesOverAmplitude]) -> None:
+    """Raise DryFriction if a direction rubs."""
+    for one in nonlinear:
+        if rubs(one.fall, one.zeta):
+            largest = max(one.zeta - one.fall, 0.0)
+            raise DryFriction(
+                f"ring-down: direction {one.direction}'s damping ratio falls with amplitude, from {one.zeta:.3g} close "
+                f"to rest to {largest:.3g} at {1e3 * one.largest_m:.3g} mm. This is dry friction in the suspension, "
+                "and no damping ratio describes such a decay. Look for what rubs: a cable, a guide, a loose joint"
+            )
+
+
+def refuse_line_in_mode(fitted: FittedDecay) -> None:
+    """Raise FitFailed if a steady line lies within the half-bandwidth of a mode, where only its misfit is likely."""
+    for own in fitted.found_lines():
+        for line in (line for lines in own for line in lines if not line.decay):
+            for omega, zeta in zip(fitted.omegas, fitted.zetas, strict=True):
+                mode_Hz = float(omega) / (2 * np.pi)
+                if abs(line.frequency_Hz - mode_Hz) < float(zeta) * mode_Hz:
+                    raise FitFailed(
+                        f"ring-down: {1e6 * abs(line.amplitude_m):.3g} µm at {line.frequency_Hz:.4g} Hz do not decay, "
+                        f"within the half-bandwidth of the mode at {mode_Hz:.4g} Hz: the mode is not a decaying "
+                        "sinusoid (dry friction, a clearance, a spring that yields?), or something drives it"
+                    )
+
+
+def friction_std(one: RatesOverAmplitude) -> float:
+    """Standard uncertainty of ζ of a direction whose damping falls with amplitude, because of dry friction.
+
+    Without friction the value at zero amplitude holds, with friction it is too large by up to the fall. The error is
+    taken as uniform up to the fall to both sides.
+    """
+    return one.fall / float(np.sqrt(3))
 
 
 def _early_and_late(fitted: FittedDecay) -> tuple[float, float]:

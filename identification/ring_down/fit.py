@@ -23,7 +23,9 @@ from identification.ring_down.begin import proposed, settled
 from identification.ring_down.decay import DecayData, Priors, both_alike, second_mode_gain
 from identification.ring_down.disturbances import foreign_mode, without_lines
 from identification.ring_down.evidence import (
+    DryFriction,
     coarse_remark,
+    refuse_line_in_mode,
     refuse_misfit,
     refuse_no_suspension_mode,
     refuse_nothing_rings,
@@ -98,7 +100,7 @@ def fit_ring_down(
         raise NotIdentifiable(f"expected displacements of shape (n,) or (n, 2), got {signals.shape}")
     columns = [signals] if signals.ndim == 1 else list(signals.T)
     priors = Priors(_axis_prior(axis_prior_deg))
-    record = [(np.asarray(time_s, float), column) for column in columns]
+    record = [(time_s, column) for column in columns]
     with bounded_work("ring-down", notify, _limit_s(1, setting)):
         return _fit([record], mass_kg, setting, priors, without, "xy" if len(columns) == 2 else axis)
 
@@ -206,13 +208,18 @@ def _fit(
     before = list(warnings)
     try:
         return _both_directions(start, valid, findings)
+    except DryFriction:
+        raise
     except IdentificationError as error:
         strong = stronger_sensor(start, _WEAK_RATIO)
         if strong is None:
             raise
         findings.warnings[:] = before
         sentence = f"sensor {'xy'[1 - strong]}, which moves little, is left out; the fit with it failed: {error}"
-        return _lone(start, valid, findings, Lone(strong, sentence))
+        try:
+            return _lone(start, valid, findings, Lone(strong, sentence))
+        except IdentificationError as other:
+            raise error from other  # both sensors together show more than one alone
 
 
 def _lone(start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, lone: Lone) -> RingDownFit:
@@ -237,6 +244,7 @@ def _both_directions(start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...]
     fitted = plan.labelled(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
     refuse_misfit(fitted)
+    refuse_line_in_mode(fitted)
     refuse_no_suspension_mode(fitted)
     warnings += coarse_remark(fitted)
     gain, single = second_mode_gain(fitted)
@@ -280,6 +288,7 @@ def _one_direction(
     fitted = plan.with_fewest_modes(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
     refuse_misfit(fitted)
+    refuse_line_in_mode(fitted)
     refuse_no_suspension_mode(fitted)
     findings.warnings += coarse_remark(fitted)
     if fitted.model.modes == 2:

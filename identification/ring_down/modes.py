@@ -38,6 +38,11 @@ def averaged_decay(lam: complex, time_s: np.ndarray, spread_s2: np.ndarray) -> t
 _MIN_SAMPLED_SHARE = 0.9  # of blocks with samples in the whole record
 _MIN_COVERED_SHARE = 0.97  # of blocks with samples at the start
 _MAX_BATCH = 2**16  # numbers that are transformed together
+_LOWEST_Hz, _LOWEST_CYCLES, _SLOWEST_Hz = 0.3, 5.0, 0.05
+"""Lowest frequency of the search; cycles in the record with which a lower one is not mistaken for drift; lowest of all.
+
+With times in milliseconds a mode of 1 to 50 Hz appears below the last one.
+"""
 _FEW_CYCLES = 0.05  # decay over frequency: three cycles until e⁻¹
 
 # smallest ratios of frequency to decay: a gap in the first cycle is strong at low frequencies and hides oscillations
@@ -68,7 +73,7 @@ class Start:
         return Start(abs(lam), -lam.real / abs(lam), share)
 
 
-def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float = 0.3) -> Start:
+def damped_periodogram(records: Sequence[Sequence[Averages]]) -> Start:
     """Find the decaying sinusoid that explains most energy of all channels.
 
     S(f, d) = |Σ y e^{−dt} e^{−iωt}|² / Σ e^{−2dt} is the energy that a decay rate d explains, with one FFT per d.
@@ -76,11 +81,11 @@ def damped_periodogram(records: Sequence[Sequence[Averages]], lowest_Hz: float =
 
     Args:
         records: block averages of each record's channels from the release on. Gaps count as zero.
-        lowest_Hz: lowest frequency of the search, Hz.
     """
     channels = [(channel, record[0].time_s[0]) for record in records for channel in record]
     longest = max(float(c.time_s[-1] - zero) for c, zero in channels)
     step = max(float(np.median(np.diff(c.time_s))) for c, _ in channels)
+    lowest_Hz = max(_SLOWEST_Hz, min(_LOWEST_Hz, _LOWEST_CYCLES / longest))
     n = round(longest / step) + 1
     grids = np.array([_on_grid(channel, zero, step, n) for channel, zero in channels])
     total = max(float(np.sum(grids**2)), 1e-300)

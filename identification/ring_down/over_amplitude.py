@@ -44,6 +44,11 @@ class RatesOverAmplitude:
     largest_m: float
 
     @property
+    def fall(self) -> float:
+        """Decrease of the damping ratio from zero amplitude to the largest one; 0 if it grows."""
+        return max(-self.zeta_slope_per_m * self.largest_m, 0.0)
+
+    @property
     def short(self) -> str:
         """Short description of the dependence."""
         own = f"direction {self.direction}"
@@ -74,7 +79,8 @@ class RatesOverAmplitude:
         names = {"frequency": f"f{self.direction}", "damping": f"zeta{self.direction}"}
         named = " and ".join(names[kind] for kind in self.kinds)
         at_zero = f"the values of {named} are" if len(parts) > 1 else f"the value of {named} is"
-        return f"{'; '.join(parts)}; {at_zero} at zero amplitude"
+        rubs = ", and its interval covers dry friction" if self.fall > 0 else ""
+        return f"{'; '.join(parts)}; {at_zero} at zero amplitude{rubs}"
 
 
 def _given(value: float, std: float) -> str:

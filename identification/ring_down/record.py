@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine
-from identification.samples import Averages, clipped, white_noise, white_noises
+from identification.samples import Averages, checked_times, clipped, white_noise, white_noises
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # these samples determine the noise to 1 %
 _LEVEL_SAMPLES, _TOP_SHARES, _MIN_VISITS = 20_000, (0.02, 0.005, 0.001), 3
@@ -118,9 +118,9 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     Returns:
         The channel, and remarks on samples that were left out.
     Raises:
-        NotIdentifiable: the lengths differ, time does not ascend, or fewer than 40 samples are valid.
+        NotIdentifiable: the lengths differ, fewer than 40 samples are valid, or times are as in checked_times.
     """
-    time, value = np.ascontiguousarray(time_s, float), np.array(value_m, float)
+    time, value = checked_times(time_s), np.array(value_m, float)
     if time.shape != value.shape or time.ndim != 1:
         raise NotIdentifiable(
             f"expected times and displacements of one length, got shapes {time.shape} and {value.shape}"
@@ -128,10 +128,6 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     timed = np.isfinite(time)
     if not timed.all():
         time, value = time[timed], value[timed]
-    backwards = time[1:] < time[:-1]
-    if backwards.any():
-        at = int(np.argmax(backwards))
-        raise NotIdentifiable(f"time runs backwards after sample {at} ({time[at]:.6g} s); sort the recording by time")
     railed, stuck = clipped(value), stuck_samples(value)
     if stuck.any():  # a motion that decays fast is at the rail only once
         railed |= stuck & ((value == np.nanmax(value)) | (value == np.nanmin(value)))

@@ -10,6 +10,7 @@ import numpy as np
 from identification.errors import NotIdentifiable
 from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
 from identification.ring_down.decay import FittedDecay, Priors
+from identification.ring_down.evidence import friction_std
 from identification.ring_down.over_amplitude import RatesOverAmplitude
 from identification.ring_down.profile import profile_axis, profile_parameter
 from identification.ring_down.resolution import Resolution
@@ -120,6 +121,13 @@ def widen_for_other_law(numbers: Numbers, nonlinear: Sequence[RatesOverAmplitude
         bent = float(numbers.values[i]) * one.f_change_at_1mm * (1e3 * one.largest_m) ** 2
         for at, change in ((i, bent), (i + 1, one.zeta_slope_per_m * one.largest_m)):
             _widen(numbers, at, abs(change) / float(np.sqrt(12)))
+
+
+def widen_for_friction(numbers: Numbers, nonlinear: Sequence[RatesOverAmplitude], labels: tuple[str, ...]) -> None:
+    """Widen the damping ratio of each direction whose damping falls with amplitude, as dry friction does."""
+    for one in nonlinear:
+        if one.fall > 0:
+            _widen(numbers, 2 * labels.index(str(one.direction)) + 1, friction_std(one))
 
 
 def _widen(numbers: Numbers, at: int, extra: float) -> None:

@@ -13,6 +13,7 @@ from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence
 from identification.ring_down.decay import FittedDecay, Priors
 from identification.ring_down.direction_terms import DirectionTerms, direction_terms
+from identification.ring_down.evidence import refuse_dry_friction
 from identification.ring_down.model import BETA
 from identification.ring_down.model_table import OTHER_LAW, model_table
 from identification.ring_down.over_amplitude import RatesOverAmplitude, rates_over_amplitude
@@ -23,6 +24,7 @@ from identification.ring_down.reported_values import (
     damping_remark,
     numbers_of,
     widen_for_amplitude,
+    widen_for_friction,
     widen_for_other_law,
     with_stiffness,
 )
@@ -115,7 +117,7 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
         labels: numbers of the directions, "1" or "2" or both.
         gain: reduction of χ² by the second mode compared with one mode in both sensors.
     Raises:
-        FitFailed: the fit did not converge, or the model leaves a large part of the signal.
+        FitFailed: the fit did not converge, the model leaves a large part of the signal, or dry friction damps it.
         NotIdentifiable: the damping is below the noise.
     """
     chi2 = fitted.solution.chi2_per_dof
@@ -126,12 +128,14 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
     numbers = numbers_of(fitted, findings.setting, findings.priors, labels, stretch, found)
     dependence = amplitudes_of(fitted, len(labels), stretch) if findings.setting != "fast" else []
     nonlinear = rates_over_amplitude(fitted, labels, stretch)
+    refuse_dry_friction(nonlinear)
     warnings += [one.sentence for one in nonlinear]
     table = model_table(fitted, found, ", ".join(one.short for one in nonlinear))
     chosen = next(choice for choice in table if choice.chosen)
     other_law = bool(nonlinear) and OTHER_LAW in chosen.missing
     if other_law:
         widen_for_other_law(numbers, nonlinear, labels)
+    widen_for_friction(numbers, nonlinear, labels)
     changes = widen_for_amplitude(numbers, beyond_terms(fitted, dependence, stretch), labels)
     warnings += changes
     warnings += _doubts(numbers, labels, found, chosen, chi2)

@@ -31,7 +31,7 @@ from identification.run_up.rotor_phase import PhaseHistory
 from identification.run_up.sensors import sensor_averages
 from identification.run_up.smallest_model import smallest_adequate
 from identification.rungs import Rung, held_back
-from identification.samples import Averages
+from identification.samples import Averages, checked_times
 from identification.setting import Setting, check_setting
 from identification.typed_scipy import median_filter
 
@@ -74,7 +74,7 @@ def fit_run_up(
         FitFailed: the fit did not converge, or the model leaves a large part of the signal.
     Source: docs/theory/run_up.md.
     """
-    time, signals = np.asarray(time_s, float), np.asarray(displacement_m, float)
+    time, signals = checked_times(time_s), np.asarray(displacement_m, float)
     if signals.shape != (len(time), 2) or np.shape(phase_rad) != (len(time),):
         raise NotIdentifiable(
             f"expected n times, displacements of shape (n, 2) and n phases, got {time.shape}, {signals.shape} and "
