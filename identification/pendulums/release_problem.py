@@ -31,6 +31,7 @@ from identification.pendulums.transient import EncoderReadings, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
+from rig_basics.texts import distinct
 from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
 Shape = Literal["torque", "contact", "both"]
@@ -365,9 +366,10 @@ def _release_time(run: Run) -> tuple[float, float]:
         )
     worst = max(r.time_std_s for r in run.releases)
     if worst >= _MAX_TIME_STD_S:
+        found, needed = distinct(worst, _MAX_TIME_STD_S)
         raise NotIdentifiable(
-            f"{run.source}: the standard uncertainty of the instant of release is {worst:.2g} s, as for a release by "
-            f"hand; below {_MAX_TIME_STD_S:g} s is needed for the damping. Record a spin-down"
+            f"{run.source}: the standard uncertainty of the instant of release is {found} s, as for a release by "
+            f"hand; below {needed} s is needed for the damping. Record a spin-down"
         )
     return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
 
