@@ -18,6 +18,7 @@ from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
 from rig_basics.arrays import Array, Complex
+from rig_basics.texts import distinct
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # averaged interval at the end of the plateau
@@ -232,7 +233,8 @@ def _span(run: Run) -> tuple[float, float, bool]:
     if stood and np.any(run.mark_time_s > release):
         release = plateau_start(run.mark_time_s, run.mark_phase_rad, release, end)
     if end - release < _MIN_AFTER_RELEASE_S:
-        raise NotEnoughData(f"{end - release:.1f} s at speed after release, at least {_MIN_AFTER_RELEASE_S:g} s needed")
+        found, needed = distinct(end - release, _MIN_AFTER_RELEASE_S)
+        raise NotEnoughData(f"{found} s at speed after release, at least {needed} s needed")
     return release, end, stood
 
 

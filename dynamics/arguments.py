@@ -4,12 +4,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, cast
 
 import numpy as np
 
 from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
+
+_SPEED_RATIO = 1e8
+"""Largest speed ratio and inverse of the smallest. Inertial terms are to spring terms as its square; beyond 2^53, the
+resolution of a double, one of them vanishes in the sum, and any larger value yields the same limit or an overflow."""
 
 
 def check_number(**values: object) -> None:
@@ -21,6 +26,22 @@ def check_number(**values: object) -> None:
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise OutsideDomain(f"{name}: expected a number, got {value!r}")
+
+
+def check_speed(speed_rad_s: float, natural_frequencies_rad_s: tuple[float, float]) -> None:
+    """Check that a running speed is a number for which the answer depends on springs and masses.
+
+    Raises:
+        OutsideDomain: the speed is not a number, not above 0, or outside 1e-8 … 1e8 natural frequencies.
+    """
+    check_number(speed_rad_s=speed_rad_s)
+    if not 0 < speed_rad_s < math.inf:
+        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    least, most = min(natural_frequencies_rad_s) / _SPEED_RATIO, max(natural_frequencies_rad_s) * _SPEED_RATIO
+    if not least <= speed_rad_s <= most:
+        raise OutsideDomain(
+            f"speed: expected {least:.2g} to {most:.2g} rad/s, 1e-8 to 1e8 natural frequencies, got {speed_rad_s!r}"
+        )
 
 
 def check_pair(**values: object) -> None:

@@ -35,7 +35,8 @@ class Replayed:
         topics = Signals(rig, 0).topics
         found = {topic: log[topic] for topic in topics if topic in log and len(log[topic])}
         if not found:
-            raise LogError(f"{log.path}: expected samples in {', '.join(topics)}, the log has {list(log) or 'none'}")
+            others = ", ".join(topic for topic in log if len(log[topic])) or "no channel"
+            raise LogError(f"{log.path}: expected samples in one of {', '.join(topics)}, found samples in {others}")
         start_ns = min(int(samples.time_ns[0]) for samples in found.values())
         end_ns = max(int(samples.time_ns[-1]) for samples in found.values())
         self.signals: Signals = Signals(rig, start_ns, max(len(samples) for samples in found.values()))

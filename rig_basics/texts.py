@@ -1,9 +1,10 @@
-"""Texts from outside: names of files, command lines and notes can contain bytes that are not UTF-8."""
+"""Texts from outside, which can contain bytes that are not UTF-8, and numbers that are compared in a sentence."""
 
 from __future__ import annotations
 
 import re
 
+_ALL_DIGITS = 17  # significant digits that distinguish any two doubles
 _LONE_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
@@ -14,3 +15,19 @@ def storable(text: str) -> str:
     No file, log or network message can. A file is opened by its own name, not by this text.
     """
     return text if text.isascii() else _LONE_SURROGATE.sub("\ufffd", text)
+
+
+def distinct(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
+    """Return two compared numbers as text, with as many digits as show which of them is larger.
+
+    Args:
+        value, limit: numbers of the same unit.
+        digits: significant digits, if these show it.
+    """
+    for count in range(digits, _ALL_DIGITS + 1):
+        texts = f"{value:.{count}g}", f"{limit:.{count}g}"
+        if texts[0] != texts[1]:
+            break
+    else:
+        texts = f"{value:.{digits}g}", f"{limit:.{digits}g}"  # equal numbers
+    return texts

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Collection, Sequence
 from contextlib import nullcontext
@@ -172,6 +173,7 @@ def run(arguments: list[str]) -> int:
 
 def _answered(arguments: list[str]) -> int:
     try:
+        _check_threads(os.environ.get("NUMBA_NUM_THREADS", "1"))
         rest, level = split_log_level(arguments)
         if level is not None:
             show_log(level)
@@ -180,6 +182,18 @@ def _answered(arguments: list[str]) -> int:
         answer.give_error(str(error), 2)
         return answer.ended(2)
     return answer.ended(_carried_out(rest))
+
+
+class UnusableVariable(RigError, ValueError):
+    """A variable of the environment has a value with which nothing can be computed."""
+
+
+def _check_threads(number: str) -> None:
+    if not number.strip().isdecimal() or int(number[:9]) < 1:
+        raise UnusableVariable(
+            f"environment variable NUMBA_NUM_THREADS: expected a number of threads, 1 or more, got {number[:40]!r}; "
+            "unset it"
+        )
 
 
 def split_log_level(arguments: Sequence[str]) -> tuple[list[str], str | None]:

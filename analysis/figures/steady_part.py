@@ -12,6 +12,7 @@ from analysis.figures.recorded import LEAST_MARKS, marks_words
 from analysis.steady_state import AVERAGE_S, plateau_end
 from daq.signals.run import Run
 from rig_basics.arrays import Array
+from rig_basics.texts import distinct
 from rig_basics.units import TO_RPM
 
 _MIN_TURNS = 4.0
@@ -62,9 +63,8 @@ def steady_part(run: Run) -> SteadyPart:
     start = max(end - AVERAGE_S, float(run.mark_time_s[0]), -math.inf if math.isnan(release) else release)
     first, last = np.interp([start, end], run.mark_time_s, run.mark_phase_rad).tolist()
     if last - first < 2 * math.pi * _MIN_TURNS:
-        raise NotEnoughData(
-            f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed"
-        )
+        found, needed = distinct((last - first) / (2 * math.pi), _MIN_TURNS)
+        raise NotEnoughData(f"{run.source}: {found} revolutions at its end, at least {needed} needed")
     return SteadyPart(start, end, (last - first) / (end - start), release)
 
 

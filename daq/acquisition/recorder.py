@@ -23,6 +23,7 @@ from daq.errors import LogError, RecordingError
 from daq.items import Batch, DeviceEvent, joined
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
+from rig_basics.texts import distinct
 
 _log = logging.getLogger(__name__)
 
@@ -181,9 +182,10 @@ class Recorder:
         if self.state().free_bytes < 2 * _SPARE_BYTES:
             self._log.close()
             self.part.unlink()
+            free, needed = distinct(self.state().free_bytes / 1e6, 2 * _SPARE_BYTES / 1e6)
             raise RecordingError(
-                f"{self.path.parent}: {self.state().free_bytes / 1e6:.1f} MB free, at least "
-                f"{2 * _SPARE_BYTES / 1e6:.1f} MB are needed to begin a log. Make room on the disk"
+                f"{self.path.parent}: {free} MB free, at least {needed} MB are needed to begin a log. Make room on the "
+                "disk"
             )
         self._syncing = clock.every(_FLUSH_S, self._sync, "sync", self._fail)
         self._writing = clock.every(_FLUSH_S, self._write_all, "recorder", self._fail)

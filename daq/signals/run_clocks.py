@@ -38,7 +38,8 @@ def start_of(log: Log) -> float:
         samples.log_time_ns[0] for samples in (samples_of(log, topic) for topic in CHANNELS) if samples is not None
     ]
     if not found:
-        raise LogError(f"{log.path}: expected samples in {', '.join(CHANNELS)}, the log has {list(log) or 'none'}")
+        others = ", ".join(topic for topic in log if len(log[topic])) or "no channel"
+        raise LogError(f"{log.path}: expected samples in one of {', '.join(CHANNELS)}, found samples in {others}")
     return math.floor(min(found) * 1e-9)
 
 

@@ -73,7 +73,7 @@ def mirrored_positions(
     Source: docs/theory/steady_states.md.
     """
     p = physics_of(rig)
-    check_request(speed_rad_s, 1e-8)
+    check_request(p, speed_rad_s, 1e-8)
     if not p.is_isotropic or p.gravity_m_per_s2 or p.bow_m or p.pivot_shift_m:
         raise OutsideDomain(
             "mirrored positions: expected an isotropic rig without gravity, bow and pivot shift (give pivots as "

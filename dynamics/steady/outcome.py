@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynamics.arguments import check_number, check_pair
+from dynamics.arguments import check_number, check_pair, check_speed
 from dynamics.arrays import Array
 from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.equations.scene import Scene
@@ -108,10 +108,9 @@ def release_outcome(
         NotConverged: the motion cannot be integrated.
     """
     p = physics_of(rig)
-    check_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    check_number(accuracy=accuracy)
     check_pair(from_rad=from_rad)
-    if not 0 < speed_rad_s < math.inf:
-        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    check_speed(speed_rad_s, p.natural_frequencies_rad_s)
     if not (0 < accuracy <= 1e-5):
         raise OutsideDomain(f"accuracy of a release must be above 0 and at most 1e-5 rad, got {accuracy!r}")
     if most_revolutions is not None and most_revolutions < 1:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from dynamics.arguments import check_number
+from dynamics.arguments import check_speed
 from dynamics.arrays import Complex, Indices
 from dynamics.equations.linearised import rotating_frame
 from dynamics.equations.parameters import RigOrParameters, physics_of
@@ -34,9 +33,7 @@ def point_eigenvalues(rig: RigOrParameters, speed_rad_s: float, points: Sequence
     Source: the source's (3-26) to (3-32), with the matrix derived from its energies (dynamics.equations.linearised).
     """
     p = physics_of(rig)
-    check_number(speed_rad_s=speed_rad_s)
-    if not 0 < speed_rad_s < math.inf:
-        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    check_speed(speed_rad_s, p.natural_frequencies_rad_s)
     if not (p.a.present and p.b.present):
         raise OutsideDomain("eigenvalues of singular points: expected both pendulums, got one with mass 0")
     found = np.empty((len(points), 8), np.complex128)

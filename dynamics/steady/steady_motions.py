@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from dynamics.arguments import check_number, check_pair
+from dynamics.arguments import check_number, check_pair, check_speed
 from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
@@ -62,7 +62,7 @@ def steady_states(
     Source: docs/theory/steady_states.md.
     """
     parameters = physics_of(rig)
-    check_request(speed_rad_s, accuracy)
+    check_request(parameters, speed_rad_s, accuracy)
     check_pair(released=released, locked_at_rad=locked_at_rad)
     model = choose_model(parameters, released, at_least=at_least)
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
@@ -172,7 +172,7 @@ def multipliers(rig: RigOrParameters, speed_rad_s: float, accuracy: float = 1e-8
         NoBalancedState: the pendulums cannot balance this imbalance, or a pivot shift, gravity or a bow prevents rest.
     """
     parameters = physics_of(rig)
-    check_request(speed_rad_s, accuracy)
+    check_request(parameters, speed_rad_s, accuracy)
     if not _rests(parameters):
         raise NoBalancedState(
             "a pivot shift, gravity or a bow moves the disk in every state; use steady_states for them"
@@ -188,15 +188,14 @@ def multipliers(rig: RigOrParameters, speed_rad_s: float, accuracy: float = 1e-8
     return _balanced(parameters, speed_rad_s, angles[0], accuracy, choose_model(parameters))
 
 
-def check_request(speed_rad_s: float, accuracy: float) -> None:
+def check_request(p: RotorParameters, speed_rad_s: float, accuracy: float) -> None:
     """Check the speed and the accuracy of a request.
 
     Raises:
-        OutsideDomain: the speed is not above 0 and finite, or the accuracy is not within 1e-12 … 0.1.
+        OutsideDomain: the speed is not within 1e-8 … 1e8 natural frequencies, or the accuracy not within 1e-12 … 0.1.
     """
-    check_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
-    if not 0 < speed_rad_s < math.inf:
-        raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+    check_speed(speed_rad_s, p.natural_frequencies_rad_s)
+    check_number(accuracy=accuracy)
     if not 1e-12 <= accuracy <= 0.1:
         raise OutsideDomain(f"accuracy: expected 1e-12 to 0.1, got {accuracy!r}")
 

@@ -16,6 +16,7 @@ from daq.signals.phase_noise import encoder_step
 from identification.errors import NotIdentifiable
 from identification.pendulums.run_down import RunDown
 from identification.samples import encoder_noise, white_noise
+from rig_basics.texts import distinct
 
 _FEWEST = 40  # smallest number of samples of a run-down
 _DIFFERENCE = 1.5  # noise of the difference of two readings over that of a reading; slightly above √2
@@ -41,8 +42,9 @@ def decline_of(time_s: np.ndarray, angle_rad: np.ndarray) -> RunDown:
     t, angle = t[begin:end], angle[begin:end]
     travel = float(np.ptp(angle)) if len(angle) else 0.0
     if travel < _LEAST_TRAVEL * noise:
+        found, needed = distinct(travel, _LEAST_TRAVEL * noise)
         raise NotIdentifiable(
-            f"the pendulum travels only {travel:.2g} rad, at least {_LEAST_TRAVEL * noise:.2g} rad are needed "
+            f"the pendulum travels only {found} rad, at least {needed} rad are needed "
             f"({_LEAST_TRAVEL} times the noise of a reading); flick it harder"
         )
     if len(t) < _FEWEST:

@@ -35,6 +35,7 @@ from identification.pendulums.transient import EncoderReadings, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
+from rig_basics.texts import distinct
 from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
 Shape = Literal["torque", "contact", "both"]
@@ -419,9 +420,10 @@ def _release_times(run: Run, opening_std_s: float) -> tuple[np.ndarray, np.ndarr
     messages = np.array([found[i].time_s for i in range(2)])
     worst = max(r.time_std_s for r in found.values())
     if worst >= _MAX_TIME_STD_S:
+        found, needed = distinct(worst, _MAX_TIME_STD_S)
         raise NotIdentifiable(
-            f"{run.source}: the standard uncertainty of the instant of release is {worst:.2g} s, as for a release by "
-            f"hand; below {_MAX_TIME_STD_S:g} s is needed for the damping. Record a spin-down"
+            f"{run.source}: the standard uncertainty of the instant of release is {found} s, as for a release by "
+            f"hand; below {needed} s is needed for the damping. Record a spin-down"
         )
     std = np.hypot([found[i].time_std_s for i in range(2)], opening_std_s)
     apart = abs(float(messages[1] - messages[0]))

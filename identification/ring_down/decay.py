@@ -17,6 +17,7 @@ from identification.ring_down.averaging import corrected
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
 from identification.ring_down.record import SensorRecord
 from identification.samples import Averages
+from rig_basics.texts import distinct
 
 _T = TypeVar("_T")
 COARSE_S = 1 / 250.0  # duration of the blocks for start values: 20 per cycle up to 12.5 Hz
@@ -58,10 +59,10 @@ class DecayData:
         for channels, begin, end in zip(self.records, self.begins, self.ends, strict=True):
             own = [c.averages(width_s, begin, end) for c in channels]
             if any(len(a.time_s) < _MIN_BLOCKS for a in own):
-                span = min(float(a.time_s[-1] - a.time_s[0]) for a in own)
+                found, needed = distinct(min(len(a.time_s) for a in own) * width_s, _MIN_BLOCKS * width_s)
                 raise NotIdentifiable(
-                    f"only {span:.2g} s after the release at {begin:.4g} s, {_MIN_BLOCKS * width_s:.2g} s are "
-                    "needed; record at least a few cycles of the decay"
+                    f"only {found} s with readings after the release at {begin:.4g} s, {needed} s are needed; record "
+                    "at least a few cycles of the decay"
                 )
             out.append(own)
         return out
@@ -291,8 +292,8 @@ def refuse_too_short(fitted: FittedDecay) -> None:
         span = min(float(t[-1] - t[0]) for t in record.times)
         cycles = span * slowest
         if cycles < _MIN_CYCLES:
-            shown = np.floor(100 * cycles) / 100  # a rounded value could equal the required one
+            shown, needed = distinct(cycles, _MIN_CYCLES)
             raise NotIdentifiable(
-                f"the record shows {shown:.2f} cycles of {slowest:.3g} Hz after the release; "
-                f"at least {_MIN_CYCLES} are needed, five or more are better"
+                f"the record shows {shown} cycles of {slowest:.3g} Hz after the release; at least {needed} are needed, "
+                "five or more are better"
             )

@@ -33,6 +33,7 @@ from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, W
 from identification.ring_down.scores import stretches
 from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
+from rig_basics.texts import distinct
 
 _MAX_RESIDUAL_RATIO, _MAX_CHI2 = 0.1, 10.0  # residual over signal and χ²/dof; a model above both is rejected
 _LARGE_CHI2 = 1.3  # χ²/dof that yields a warning
@@ -248,15 +249,17 @@ def _curves(fitted: FittedDecay, chi2: float, axes: str) -> tuple[list[FittedCur
 def _unresolved(found: Resolution) -> str:
     why: list[str] = []
     if found.split < RESOLVED_SPLIT:
-        why.append(f"the modes are {found.split:.2g} half-bandwidths apart, {RESOLVED_SPLIT:g} are needed")
+        split, needed = distinct(found.split, RESOLVED_SPLIT)
+        why.append(f"the modes are {split} half-bandwidths apart, {needed} are needed")
     elif not found.certain:
         why.append(f"the modes are {found.split:.2g} ± {found.split_std:.2g} half-bandwidths apart, not significantly")
     if found.axis_std_rad > WALD_STD:
-        angle = min(float(np.degrees(found.axis_std_rad)), 90.0)
-        why.append(f"the axis angle stays uncertain by {angle:.2g}°, {np.degrees(WALD_STD):.2g}° are needed")
+        angle, needed = distinct(min(float(np.degrees(found.axis_std_rad)), 90.0), float(np.degrees(WALD_STD)))
+        why.append(f"the axis angle stays uncertain by {angle}°, {needed}° are needed")
     if found.gain < RESOLVED_GAIN:
-        much = f"improves χ² by only {found.gain:.3g}" if found.gain > 0 else "does not improve χ²"
-        why.append(f"a second mode {much} compared with one mode in both sensors, {RESOLVED_GAIN:g} are needed")
+        gain, needed = distinct(found.gain, RESOLVED_GAIN, 3)
+        much = f"improves χ² by only {gain}" if found.gain > 0 else "does not improve χ²"
+        why.append(f"a second mode {much} compared with one mode in both sensors, {needed} are needed")
     return f"axes not resolved: {'; '.join(why)}. Intervals are from the profile likelihood over the angle"
 
 

@@ -131,3 +131,16 @@ def test_a_motion_that_separates_beyond_rounding_is_refused_before_it_is_refined
     with pytest.raises(DynamicsError, match="neighbouring motions diverge") as refusal:
         simulate(rig(), Scene(SpeedHistory.constant(1e5)), 0.3, 1e-8)
     assert float(str(refusal.value).split("(")[1].split(" steps")[0]) < 3e5
+
+
+@pytest.mark.parametrize("speed", [5e-324, 1e-300, 1e-150, 1e150, 1e300, 1.7e308])
+@pytest.mark.parametrize("service", [steady_states, multipliers, release_outcome])
+def test_a_speed_beyond_the_resolution_of_numbers_is_refused_with_the_range(service: Any, speed: float) -> None:
+    with pytest.raises(OutsideDomain, match=r"speed: expected .* to .* rad/s, 1e-8 to 1e8 natural frequencies"):
+        service(rig(), speed)
+
+
+def test_speeds_within_the_range_have_states() -> None:
+    slow, fast = min(rig().natural_frequencies_rad_s), max(rig().natural_frequencies_rad_s)
+    for speed in (1.1e-8 * slow, 0.9e8 * fast):
+        assert steady_states(rig(), speed, 1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -135,3 +136,14 @@ def test_a_fault_that_cannot_be_is_refused_before_the_first_test(
     err = capsys.readouterr().err
     assert any(words in err for words in ("expected", "should be", "unknown key")), err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "two", ""])
+def test_a_number_of_threads_that_is_none_is_named(
+    number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", number)
+    assert run(["predict", "virtual", "--speed-rpm", "500", "--json"]) == 2
+    printed = capsys.readouterr()
+    assert "NUMBA_NUM_THREADS: expected a number of threads" in printed.err
+    assert json.loads(printed.out)["exit_code"] == 2

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.arguments import check_number
+from dynamics.arguments import check_speed
 from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
@@ -51,9 +51,7 @@ class RevolutionMap:
             OutsideDomain: an invalid speed, no pendulum, dry friction, or motions too stiff for explicit steps.
         """
         p = physics_of(rig)
-        check_number(speed_rad_s=speed_rad_s)
-        if not 0 < speed_rad_s < math.inf:
-            raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
+        check_speed(speed_rad_s, p.natural_frequencies_rad_s)
         if not (p.a.present or p.b.present):
             raise OutsideDomain("a release needs a pendulum: both masses are 0")
         if p.has_friction:
