@@ -3,6 +3,7 @@
 IdentificationError
 ├── NotIdentifiable    the record does not contain what the estimator needs (also a ValueError)
 └── FitFailed          the record is complete, but no parameters reproduce it
+    └── UnexplainedPassage   the model of a passage leaves a large part of the signal; the cause is still to be named
 """
 
 from rig_basics.errors import RigError
@@ -18,3 +19,7 @@ class NotIdentifiable(IdentificationError, ValueError):
 
 class FitFailed(IdentificationError):
     """A fit did not converge, or its residuals are far above the noise. The message contains both."""
+
+
+class UnexplainedPassage(FitFailed):
+    """The model of a passage leaves a large part of the signal. What contradicts phase and locks names the cause."""

@@ -22,6 +22,7 @@ from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
 from daq.log.snapshot import identities_of, rig_of
 from daq.signals.releases import Release, releases_of
+from daq.signals.rotor_doubts import RotorDoubt, doubts_of_events
 from daq.signals.run_channels import angle_signal, laser_signal, mark_signal, motor_start, phase_signal
 from daq.signals.run_clocks import (
     NO_DEVICE,
@@ -70,6 +71,8 @@ class Run:
             sensors are at right angles, and x and y are their readings.
         motor_start_s: time of the motor's first change of target speed, since the run's start, s; NaN if the target did
             not change or was not recorded.
+        rotor_doubts: contradictions of marks and times, by the log's events and by the marks themselves. Bounces and
+            turns that were not counted are corrected in `mark_time_s` and `mark_phase_rad`.
     """
 
     test: str
@@ -96,6 +99,7 @@ class Run:
     turn_deg: float = 0.0
     clock_shared_std: Mapping[str, float] = field(default_factory=dict[str, float])
     motor_start_s: float = math.nan
+    rotor_doubts: tuple[RotorDoubt, ...] = ()
 
     def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
@@ -128,7 +132,8 @@ def load_run(path: str | Path) -> Run:
         lines = {"x": x_line, "y": y_line, "angles": angle_line, "phase": phase_line}
         index_rad = math.radians(roles.phase.index_angle_deg) if roles.phase else 0.0
         angle_time_s, angle_rad = angle_signal(log, angle_line, start_s)
-        mark_time_s, mark_phase_rad = mark_signal(log, phase_line, index_rad, start_s)
+        mark_time_s, mark_phase_rad, doubts = mark_signal(log, phase_line, index_rad, start_s)
+        reported = doubts_of_events(log, roles.phase.device, start_s) if roles.phase else ()
         phase_time_s, phase_rad = phase_signal(log, phase_line, start_s)
         return Run(
             test=run.get("test", "unknown"),
@@ -156,6 +161,7 @@ def load_run(path: str | Path) -> Run:
                 for name, line in lines.items()
             },
             losses=losses_of(log).flat,
+            rotor_doubts=(*reported, *doubts),
             motor_start_s=motor_start(log, start_s),
             metadata={
                 **run,
