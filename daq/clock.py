@@ -31,6 +31,12 @@ CLOCK_SEED = "clock_seed"
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
 _BIN_NS = 250_000_000
 _BINS = 120
+_EDGE_READS = 3  # spacings of the least lags of a bin that are averaged: more would leave the edge
+_EDGE_STDS = 3.0  # of the spacing, of which the first delay has one; the weights make the line look more certain
+_EDGE_DOUBT = 2.5  # spacings by which the least of delays that are sums of two waits lies above their bound
+_BINS_BESIDE = 5  # bins over which spacings are averaged
+_LEAST_SPACING_S = 1e-6  # resolution of a host's time stamps
+_LINE_ROUNDS = 4  # after which the weights have settled
 _MAX_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that mapped times increase
 _MAX_STRAIGHT_JITTER = 0.15  # mean distance of the least lags from their line, sample periods; a staircase has ≥ 0.25
 _EARLY_STEP_NS, _LATE_STEP_NS = 2e5, 20e6  # least steps of the host's clock that are recognised
@@ -403,6 +409,10 @@ def fit_line(
     rate is therefore at least one period over the length of the record, unless the lags follow a straight line over
     more than one period.
 
+    On a loaded host few reads are in time, and the load may grow or fall in the record. The least lag of each bin then
+    lies above the bound of the delay by about the spacing of the least lags of the bin. It is corrected by this spacing
+    and weighted with it. The uncertainty contains the change of the rate by the correction.
+
     Args:
         device_s, host_s: shape (n,), device time of the last sample of each read, and time of its return, s.
         tolerance_ppm: prior standard uncertainty of the rate.
@@ -423,13 +433,65 @@ def fit_line(
         return ClockLine(offset, 0.0, prior, float(np.mean(y - float(np.min(y)))), prior)
     constant, slope = lower_line(x, y)
     jitter = float(np.mean(y - constant - slope * x))
-    straight = abs(slope) * span > step_s and jitter < _MAX_STRAIGHT_JITTER * step_s
+    level: NDArray[np.floating] = lag - slope * device_s
+    early_s = _edge_spacings([level[group] for group in groups], jitter)
+    slope, slope_std, distance = _weighted_line(x, y - early_s, early_s)
+    slope_std = np.hypot(slope_std, _EDGE_DOUBT * (slope - _weighted_line(x, y, early_s)[0]))
+    straight = abs(slope) * span > step_s and distance < _MAX_STRAIGHT_JITTER * step_s
     hidden_s = 0.0 if straight else step_s
-    own = np.hypot(max(jitter, 1e-6) * np.sqrt(12.0 / len(x)), hidden_s / np.sqrt(3.0)) / span
+    own = np.hypot(slope_std, hidden_s / np.sqrt(3.0) / span)
     weight = prior**2 / (prior**2 + own**2)
     rate = slope * weight
     offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])
     return ClockLine(offset, rate, float(own * np.sqrt(weight)), jitter, float((1 - weight) * prior))
+
+
+def _edge_spacings(bins: list[NDArray[np.floating]], sparse_s: float) -> NDArray[np.float64]:
+    """Return the mean spacing of the least lags of each bin, s: so far is the least one above the bound of the delay.
+
+    Near their bound, n delays of a smooth distribution have equal mean spacings, and the first one lies one spacing
+    above the bound. Few reads without delay on a loaded host have a large spacing.
+
+    Args:
+        bins: lags of each bin.
+        sparse_s: spacing of a bin of one or two reads, whose spacing is not known.
+    """
+    spacings = np.full(len(bins), sparse_s)
+    for i, lag in enumerate(bins):
+        count = min(_EDGE_READS, len(lag) - 1)
+        if count > 1:
+            least = np.partition(lag, count)[: count + 1]
+            spacings[i] = float(np.max(least) - np.min(least)) / count
+    beside = np.ones(_BINS_BESIDE)  # else a bin whose spacing is small by chance would have a large weight
+    return np.convolve(spacings, beside, "same") / np.convolve(np.ones(len(bins)), beside, "same")
+
+
+def _weighted_line(
+    x: NDArray[np.floating], y: NDArray[np.floating], spacing: NDArray[np.floating]
+) -> tuple[float, float, float]:
+    """Fit the lower edge of lags whose bins are late by different amounts, as on a host whose load changes.
+
+    A bin has the uncertainty of `_EDGE_STDS` spacings, and at least its own height above the line: what delays all of
+    its reads leaves no spacing. The first line is the lower edge of all.
+
+    Returns:
+        Slope, its standard deviation, and the mean height of the bins above the lowest one, s.
+    """
+    constant, slope = lower_line(x, y)
+    std = np.zeros(len(x))
+    for _ in range(_LINE_ROUNDS):
+        above = np.abs(y - constant - slope * x)
+        std = np.hypot(np.hypot(_EDGE_STDS * spacing, above), _LEAST_SPACING_S)
+        weight = std**-2.0
+        middle = float(np.average(x, weights=weight))
+        slope = float(np.average((x - middle) * y, weights=weight) / np.average((x - middle) ** 2, weights=weight))
+        constant = float(np.average(y, weights=weight)) - slope * middle
+    weight = std**-2.0
+    middle = float(np.average(x, weights=weight))
+    spread = np.hypot(_EDGE_STDS * spacing, _LEAST_SPACING_S)
+    above = y - slope * x
+    distance = float(np.average(above - np.min(above), weights=spread**-2.0))
+    return slope, float(np.sum(weight * (x - middle) ** 2) ** -0.5), distance
 
 
 def _starts(bins: NDArray[np.int_]) -> NDArray[np.intp]:

@@ -24,6 +24,7 @@ from daq.log.snapshot import identities_of, rig_of
 from daq.log.time_span import TimeSpan
 from daq.signals.possible_displacement import refuse_impossible
 from daq.signals.releases import Release, releases_of
+from daq.signals.rotor_doubts import RotorDoubt, doubts_of_events
 from daq.signals.run_channels import angle_signal, driven_speed, laser_signal, mark_signal, motor_start, phase_signal
 from daq.signals.run_clocks import (
     NO_DEVICE,
@@ -77,6 +78,8 @@ class Run:
             not change or was not recorded.
         speed: agreement of the drive's reports with the index marks while a speed is commanded; None if they cannot be
             compared.
+        rotor_doubts: contradictions of marks and times, by the log's events and by the marks themselves. Bounces and
+            turns that were not counted are corrected in `mark_time_s` and `mark_phase_rad`.
     """
 
     test: str
@@ -104,6 +107,7 @@ class Run:
     clock_shared_std: Mapping[str, float] = field(default_factory=dict[str, float])
     motor_start_s: float = math.nan
     speed: SpeedAgreement | None = None
+    rotor_doubts: tuple[RotorDoubt, ...] = ()
 
     def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
@@ -145,7 +149,8 @@ def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
         lines = {"x": x_line, "y": y_line, "angles": angle_line, "phase": phase_line}
         index_rad = math.radians(roles.phase.index_angle_deg) if roles.phase else 0.0
         angle_time_s, angle_rad = angle_signal(log, angle_line, start_s)
-        mark_time_s, mark_phase_rad = mark_signal(log, phase_line, index_rad, start_s)
+        mark_time_s, mark_phase_rad, doubts = mark_signal(log, phase_line, index_rad, start_s)
+        reported = doubts_of_events(log, roles.phase.device, start_s) if roles.phase else ()
         phase_time_s, phase_rad = phase_signal(log, phase_line, start_s)
         return Run(
             test=run.get("test", "unknown"),
@@ -173,6 +178,7 @@ def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
                 for name, line in lines.items()
             },
             losses=losses_of(log).flat,
+            rotor_doubts=(*reported, *doubts),
             motor_start_s=motor_start(log, start_s),
             speed=speed_agreement(mark_time_s, mark_phase_rad / (2 * np.pi), *driven_speed(log, roles, start_s)),
             metadata={

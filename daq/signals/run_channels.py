@@ -9,6 +9,7 @@ import numpy as np
 from daq.channels import DEVICE_TICK_S, suspects
 from daq.clock import ClockLine
 from daq.log import Log
+from daq.signals.rotor_doubts import RotorDoubt, sound_marks
 from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start
 from rig_basics.arrays import Array
 from rig_configs.roles import DisplacementSensor, Roles
@@ -73,15 +74,20 @@ def angle_signal(log: Log, line: ClockLine, start_s: float) -> tuple[Array, Arra
     return node_times(samples, line, start_s)[whole], angles[whole]
 
 
-def mark_signal(log: Log, line: ClockLine, index_rad: float, start_s: float) -> tuple[Array, Array]:
-    """Return times and phases of the index marks, or of the whole turns if the log contains the phase itself."""
+def mark_signal(
+    log: Log, line: ClockLine, index_rad: float, start_s: float
+) -> tuple[Array, Array, tuple[RotorDoubt, ...]]:
+    """Return times and phases of the index marks, and what contradicts them.
+
+    They are those of the whole turns if the log contains the phase itself.
+    """
     samples = samples_of(log, "tacho")
     if samples is None:
-        return np.empty(0), np.empty(0)
+        return np.empty(0), np.empty(0), ()
     times = node_times(samples, line, start_s)
     if "phase_rad" in samples.columns:
-        return _whole_turns(times, samples.phase_rad)
-    return times, 2 * np.pi * samples.revolutions.astype(float) + index_rad
+        return *_whole_turns(times, samples.phase_rad), ()
+    return sound_marks(times, 2 * np.pi * samples.revolutions.astype(float) + index_rad)
 
 
 def phase_signal(log: Log, line: ClockLine, start_s: float) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.errors import FitFailed, NotIdentifiable
+from identification.errors import NotIdentifiable, UnexplainedPassage
 from identification.least_squares import Solution, solve_separable
 from identification.run_up.bent_passage import BentPassage, KnownSuspension
 from identification.run_up.choice import alike
@@ -105,9 +105,8 @@ def from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> t
     if best is None:
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
     if not best.minimum.converged or not np.all(np.isfinite(best.minimum.theta)):
-        raise FitFailed(
-            f"run-up: no convergence in {best.minimum.iterations} iterations, χ²/dof {best.chi2_per_dof:.3g}; "
-            "is the phase the rotor's, and were the pendulums locked?"
+        raise UnexplainedPassage(
+            f"run-up: no convergence in {best.minimum.iterations} iterations, χ²/dof {best.chi2_per_dof:.3g}"
         )
     return structure, best
 

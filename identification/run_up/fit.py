@@ -12,12 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from daq.signals.clock_rates import rate_std_between
+from daq.signals.rotor_doubts import phase_jumps
 from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
-from identification.errors import NotIdentifiable
+from identification.errors import NotIdentifiable, UnexplainedPassage
 from identification.least_squares import Solution
 from identification.run_up.bent_passage import KnownSuspension
 from identification.run_up.choice import ModelSelection, compare
+from identification.run_up.contradictions import explained, phase_of
 from identification.run_up.design import (
     Design,
     design_at,
@@ -80,14 +82,13 @@ def fit_run_up(
             f"expected n times, displacements of shape (n, 2) and n phases, got {time.shape}, {signals.shape} and "
             f"{np.shape(phase_rad)}"
         )
-    phase = PhaseHistory.from_samples(time, np.asarray(phase_rad, float))
-    return _fit(
-        [(time, signals[:, 0]), (time, signals[:, 1])],
-        phase,
-        Clocks(delay_std_s, (0.0, 0.0)),
-        setting,
-        held_back(without),
-    )
+    angle = np.asarray(phase_rad, float)
+    phase = PhaseHistory.from_samples(time, angle)
+    sensors, clocks = [(time, signals[:, 0]), (time, signals[:, 1])], Clocks(delay_std_s, (0.0, 0.0))
+    try:
+        return _fit(sensors, phase, clocks, setting, held_back(without))
+    except UnexplainedPassage as error:
+        raise explained(error, sensors, phase, phase_jumps(time, angle)) from error
 
 
 @on_one_thread
@@ -106,16 +107,18 @@ def fit_run_up_run(
         FitFailed: the fit did not converge, or the model leaves a large part of the signal.
     """
     try:
-        if len(run.phase_time_s):
-            phase = PhaseHistory.from_samples(run.phase_time_s, run.phase_rad)
-        else:
-            phase = PhaseHistory.from_marks(run.mark_time_s, run.mark_phase_rad)
+        phase, doubts = phase_of(run)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
     # an imported recording has a common clock for all signals, independent of the uncertainty of its rate
     clocks = Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
-    return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without), known)
+    sensors = [(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)]
+    try:
+        fit = _fit(sensors, phase, clocks, setting, held_back(without), known)
+    except UnexplainedPassage as error:
+        raise explained(error, sensors, phase, doubts) from error
+    return replace(fit, warnings=[*fit.warnings, *(f"run-up: {doubt.words}" for doubt in doubts)])
 
 
 def _fit(

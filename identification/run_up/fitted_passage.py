@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.curve import FittedCurve
-from identification.errors import FitFailed
+from identification.errors import UnexplainedPassage
 from identification.laser_wander import wander_sentences
 from identification.least_squares import Solution
 from identification.ring_down.direction_terms import DirectionTerms
@@ -55,7 +55,7 @@ def fit_result(
         warnings: findings so far.
         setting: effort of the fit.
     Raises:
-        FitFailed: the model leaves a large part of the signal.
+        UnexplainedPassage: the model leaves a large part of the signal.
     """
     curves, rests = _curves(record, solution)
     slow = wander_sentences(rests)
@@ -104,9 +104,8 @@ def _curves(
         metres = residual / channel.weight
         left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
         if left > _MAX_RESIDUAL_RATIO * np.std(channel.value) and left > np.median(1 / channel.weight):
-            raise FitFailed(
-                f"run-up: beyond noise the model leaves {left / np.std(channel.value):.0%} of sensor {axis}'s signal; "
-                "is the phase the rotor's, and were the pendulums locked?"
+            raise UnexplainedPassage(
+                f"run-up: beyond noise the model leaves {left / np.std(channel.value):.0%} of sensor {axis}'s signal"
             )
         rests.append((axis, channel, metres))
         curves.append(FittedCurve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
