@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.errors import LogError
-from daq.mcap.chunks import HEAD_BYTES, ChunkTable, parse_head
+from daq.mcap.chunks import EVER_NS, HEAD_BYTES, ChunkTable, parse_head
 from daq.mcap.contents import Contents, from_summary
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
@@ -39,6 +39,8 @@ def survey(file: FileBytes) -> Contents:
         summary = read_summary(file, header)
         if not _trusts_index(header, summary) and _has_duplicates(file, summary.table):
             raise DamageError("the same chunk is at two places of the index")
+        if summary.statistics is not None and summary.statistics.message_end_time > EVER_NS:
+            raise DamageError(f"a log time of {summary.statistics.message_end_time} ns")  # the walk counts such times
         return from_summary(file, header, summary)
     except DamageError as damage:
         _log.info("%s: the whole file is read, since its summary cannot be used: %s", file.path, damage)
@@ -110,6 +112,9 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         done.attachments,
     )
     contents.missing = _missing(done, summary, contents)
+    if done.table.beyond:
+        text = f"{done.table.beyond} messages with times of 2^63 ns or more, after the year 2262: their times are wrong"
+        contents.missing.append(Missing(text, messages=0))
     contents.unchecked = [
         Missing(f"{count} {what} without a CRC: damage in them cannot be detected", messages=0)
         for what, count in done.no_crc.items()

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap.checksum import crc32
-from daq.mcap.chunks import ChunkHead, ChunkTable
+from daq.mcap.chunks import EVER_NS, ChunkHead, ChunkTable
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
-from daq.mcap.scan import definitions, tally
+from daq.mcap.scan import definitions, locate, tally
 
 _NOTHING = np.empty(0, np.uint8)
 
@@ -30,10 +30,14 @@ class TableBuilder:
 
     Args:
         known: receives the schemas and channels found in the chunks.
+
+    Attributes:
+        beyond: number of messages with a time that a signed number of 64 bits does not hold.
     """
 
     def __init__(self, known: Definitions) -> None:
         self._known = known
+        self.beyond: int = 0
         self._counts, self._touched = np.zeros(65536, np.int64), np.empty(65536, np.int64)
         self._times = np.empty(4, np.uint64)
         self._rows = array("q")
@@ -82,7 +86,9 @@ class TableBuilder:
             self._copies.append((start, replace(head, crc=crc), replace(chunk, data=_NOTHING)))
             return earlier
         self._rows.extend((start, head.data_at + head.packed, head.packed, head.unpacked, head.kind, crc))
-        self._rows.extend(min(time, 2**63 - 1) for time in chunk.times)
+        self._rows.extend(min(time, EVER_NS) for time in chunk.times)
+        if max(chunk.times) > EVER_NS:
+            self.beyond += _beyond(chunk)
         for pair in chunk.counts.items():
             self._entries.extend(pair)
         self._first_entry.append(len(self._entries) // 2)
@@ -123,3 +129,11 @@ class TableBuilder:
             entries[:, 0].astype(np.uint16),
             entries[:, 1].astype(np.uint32),
         )
+
+
+def _beyond(chunk: TakenChunk) -> int:
+    """Return the number of messages whose log time or publish time a signed number of 64 bits does not hold."""
+    count = sum(chunk.counts.values())
+    log_times, publish_times = np.empty(count, np.int64), np.empty(count, np.int64)
+    locate(chunk.data, np.empty(0, np.int64), np.empty((count, 3), np.int64), log_times, publish_times)
+    return int(np.count_nonzero((log_times < 0) | (publish_times < 0)))
