@@ -1,4 +1,4 @@
-"""Bound on the work of one fit: an answer, or a refusal with what was tried, whatever the record.
+"""Bound on the work of one fit: every record ends in an answer, or in a refusal with what was tried.
 
 Work is counted and not timed, so that a fit gives the same result on every machine and under every load. The unit is
 one second of a slow processor core. `identification.least_squares` counts every evaluation of a model; a search with

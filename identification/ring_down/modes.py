@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.samples import Averages
+from identification.work import spend
 
 
 def rate(omega: float, zeta: float) -> complex:
@@ -90,6 +91,7 @@ def damped_periodogram(records: Sequence[Sequence[Averages]]) -> Start:
     grids = np.array([_on_grid(channel, zero, step, n) for channel, zero in channels])
     total = max(float(np.sum(grids**2)), 1e-300)
     decays = np.geomspace(0.2 / longest, min(0.05 / step, 60.0), 24)
+    spend(len(decays) * grids.size)
     peaks = [peak for batch in _batches(decays, n, step, len(grids)) for peak in _peaks(grids, batch, step, lowest_Hz)]
     power, lam = max(peaks, key=lambda peak: peak[0])
     share = min(1.0, 2 * power / total)

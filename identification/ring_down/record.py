@@ -18,6 +18,7 @@ from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine
 from identification.samples import Averages, checked_times, clipped, white_noise, white_noises
+from identification.work import spend
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # these samples determine the noise to 1 %
 _LEVEL_SAMPLES, _TOP_SHARES, _MIN_VISITS = 20_000, (0.02, 0.005, 0.001), 3
@@ -59,6 +60,7 @@ class SensorRecord:
             NotIdentifiable: the span contains no valid sample.
         """
         first, last = np.searchsorted(self.time_s, (begin_s, end_s))
+        spend(last - first)
         if not self.keep[first:last].any():
             raise NotIdentifiable(f"no valid sample between {begin_s:.4g} and {end_s:.4g} s; is the sensor connected?")
         mean, spread, value, count = _average(

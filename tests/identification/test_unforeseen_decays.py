@@ -48,7 +48,7 @@ def bounded(name: str, monkeypatch: pytest.MonkeyPatch) -> float:
 @pytest.mark.parametrize(
     "name", ["steel beam", "no noise", *(pytest.param(name, marks=thorough) for name in sorted(decay_worlds.WORLDS))]
 )
-def test_the_work_is_bounded_whatever_rings(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_work_of_every_world_is_bounded(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A beam with six modes up to 131 Hz took 42 s of processor; the bound is counted, not timed."""
     assert bounded(name, monkeypatch) < 1.1 * LIMIT_S
 
