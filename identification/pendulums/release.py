@@ -108,7 +108,7 @@ def _fitted(
 ) -> TransientFit:
     """Fit a release; arguments and errors as for `fit_release`."""
     release = RecordedRelease.of(run, knowledge, zero_std_rad, setting)
-    if max(release.moved_rad) < _MIN_MOVED_RAD:
+    if min(release.moved_rad) < _MIN_MOVED_RAD:
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
     horizons = release.horizons(setting)

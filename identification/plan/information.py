@@ -73,19 +73,40 @@ def ring_down_bound(
     return spread / omega_rad_s, float(np.sqrt(1 - zeta**2)) * spread / decay
 
 
+def friction_columns(rate_per_s: float, start_speed_rad_s: float, time_s: Array) -> Array:
+    """Return the derivatives of a run-down by a torque and by one with the square of the speed, shape (n, 2).
+
+    With δ for the change of an angle, J δ̈ + c δ̇ = −M − F v² e^{−2λt}, λ = c/J, gives with e = e^{−λt}
+    δ = −(M/c) (t − (1 − e)/λ) − F v²/(J λ²) ((1 − e) − (1 − e²)/2). Each derivative is that by a torque of c v.
+    """
+    run = 1.0 - np.exp(-rate_per_s * time_s)
+    twice = 1.0 - np.exp(-2.0 * rate_per_s * time_s)
+    by = [time_s - run / rate_per_s, (run - 0.5 * twice) / rate_per_s]
+    return -start_speed_rad_s * np.column_stack(by)
+
+
 def spin_down_bound(
-    rate_per_s: float, start_speed_rad_s: float, noise_rad: float, rate_Hz: float, record_s: float = np.inf
+    rate_per_s: float,
+    start_speed_rad_s: float,
+    noise_rad: float,
+    rate_Hz: float,
+    record_s: float = np.inf,
+    *,
+    with_friction: bool = False,
 ) -> float:
     """Return the relative bound of the decay rate of a pendulum on an immovable rotor.
 
     For θ = θ0 + A e^{−λt}, recorded to rest (many times 1/λ), sd(λ)/λ = σ λ sqrt(8 λ/f_s)/v0. Over 4.5 time constants
-    the bound is 1.65 times that. Source: docs/theory/planning.md.
+    the bound is 1.65 times that, and about 20 times that with unknown dry friction and drag (with_friction; only for a
+    finite record). Source: docs/theory/planning.md.
     """
     if np.isfinite(record_s):
         t = (np.arange(4000) + 0.5) * record_s / 4000
         wave = np.exp(-rate_per_s * t)
         length = start_speed_rad_s / rate_per_s
         jacobian = np.column_stack([-length * rate_per_s * t * wave, np.ones_like(t), length * wave])
+        if with_friction:
+            jacobian = np.hstack([jacobian, friction_columns(rate_per_s, start_speed_rad_s, t)])
         weight = np.sqrt(rate_Hz * record_s / 4000) / noise_rad
-        return float(np.sqrt(covariance(jacobian * weight, np.full(3, np.inf), 1)[0, 0]))
+        return float(np.sqrt(covariance(jacobian * weight, np.full(jacobian.shape[1], np.inf), 1)[0, 0]))
     return noise_rad * rate_per_s / start_speed_rad_s * float(np.sqrt(8 * rate_per_s / rate_Hz))

@@ -19,7 +19,7 @@ from identification.estimate import Estimate
 from identification.methods import Method
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.plan.experiment import Experiment
-from identification.plan.information import covariance, derivatives
+from identification.plan.information import covariance, derivatives, friction_columns
 from identification.plan.sensors import SensorProperties
 from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
@@ -171,20 +171,15 @@ def _experiment(
 
 
 def _spin_down_friction(physics: RotorParameters, time_s: Array, speed_rad_s: list[float]) -> Array:
-    """Return the derivatives of both run-downs by a torque of A and B and by one with the square of the speed, (n, 4).
+    """Return the derivatives of both run-downs by a torque and a drag on A and on B, shape (n, 4).
 
-    With δ for the change of an angle, J δ̈ + c δ̇ = −M − F v² e^{−2λt}, λ = c/J, gives with e = e^{−λt}
-    δ = −(M/c) (t − (1 − e)/λ) − F v²/(J λ²) ((1 − e) − (1 − e²)/2). The disk's reaction changes this by a per cent.
-    Each derivative is that by a torque of c v.
+    They are those on a fixed rotor; the disk's reaction changes them by a per cent.
     """
     n = len(time_s)
     out = np.zeros((2 * n, 4))
     for i, (p, speed) in enumerate(zip((physics.a, physics.b), speed_rad_s, strict=True)):
         rate = p.damping_Nms_per_rad / p.inertia_kg_m2
-        run = 1.0 - np.exp(-rate * time_s)
-        rows = slice(i * n, (i + 1) * n)
-        out[rows, i] = -speed * (time_s - run / rate)
-        out[rows, 2 + i] = -speed / rate * (run - 0.5 * (1.0 - np.exp(-2.0 * rate * time_s)))
+        out[i * n : (i + 1) * n, 2 * i : 2 * i + 2] = friction_columns(rate, speed, time_s)
     return out
 
 

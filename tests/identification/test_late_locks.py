@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pendulum_world import World
 
-from identification import fit_release
+from identification import NotIdentifiable, fit_release
 from identification.release_check import ReleaseRows, check_releases
 from rig_configs import IdentifiedParameters, Rig, load_rig
 
@@ -75,3 +77,12 @@ def test_a_validation_names_a_lock_that_opens_late(rig: Rig) -> None:
 def test_the_rig_file_states_how_late_a_lock_may_open(rig: Rig) -> None:
     exact = rig.model_copy(update={"pendulums": rig.pendulums.model_copy(update={"release_std_s": 1e-3})})
     assert "lock A opened 5" in checked(exact, (5e-3, 0.0)).remark
+
+
+def test_a_release_with_one_pendulum_that_stays_locked_is_refused_at_once() -> None:
+    world = World()
+    run = world.release(AT_D, 5, record_s=2.0)
+    angle = run.angle_rad.copy()
+    angle[:, 0] = angle[0, 0]
+    with pytest.raises(NotIdentifiable, match=r"A moves by 0° and B by .*°; a lock did not open"):
+        fit_release(replace(run, angle_rad=angle), world.knowledge, ZERO_STD_RAD)

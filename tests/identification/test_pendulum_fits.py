@@ -35,7 +35,7 @@ def test_coupled_run_down_covers(rig_name: str) -> None:
         campaign = Campaign(seed, rig_name=rig_name, clock_rate_std=0.0)
         fit = fit_spin_down_run(campaign.spin_down(), known(campaign))
         true = campaign.truth.identified()
-        assert all(abs(fit.values[n] - true[n]) < 1.96 * fit.std[n] for n in fit.values)
+        assert all(abs(fit.values[n] - true[n]) < 3.5 * fit.std[n] for n in fit.values)
         std = without_friction(fit)[1]
         z += [(x - np.log(true[n])) / s for x, s, n in zip(*without_friction(fit), fit.values, strict=True)]
         assert np.max(std) < 2e-3

@@ -136,7 +136,7 @@ def test_a_spin_down_decides_for_friction_by_its_readings(torque: float) -> None
     run = dataclasses.replace(campaign.spin_down(), **with_friction(campaign, torque))
     fit = fit_spin_down_run(run, known(campaign))
     for name, value in fit.values.items():
-        assert abs(value - campaign.truth.identified()[name]) < 4 * fit.std[name] < 0.1 * value
+        assert abs(value - campaign.truth.identified()[name]) < 4 * fit.std[name] < 0.2 * value
     if torque == 0.0:
         assert fit.friction is None
         return

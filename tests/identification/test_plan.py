@@ -76,7 +76,7 @@ def test_spin_down_closed_form() -> None:
     rate = heavy.a.damping_Nms_per_rad / heavy.a.inertia_kg_m2
     after_hand = 10.0 * np.exp(-rate * 0.05)
     planned = spin_down(heavy, SENSORS, 10.0, 4.5 / rate)
-    closed = spin_down_bound(rate, after_hand, SENSORS.encoder_noise_rad, 1000.0, 4.5 / rate)
+    closed = spin_down_bound(rate, after_hand, SENSORS.encoder_noise_rad, 1000.0, 4.5 / rate, with_friction=True)
     assert own(planned, "c3_Nms_per_rad") == pytest.approx(closed, rel=0.05)
 
 
