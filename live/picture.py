@@ -21,6 +21,7 @@ from live.model import LiveModel, Predicted
 from live.planned import SpeedRamp
 from live.signals import DEG
 from live.source import Facts, PageSource
+from live.vectors import clocks_of, without_lags
 from rig_basics.arrays import Array
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
@@ -175,11 +176,13 @@ class Pictures:
         facts = self._source.facts()
         now_s, since_s = self._source.now_s(), float(facts.get("since_s", 0.0))
         vectors = self._followers.vectors.between(since_s, now_s)
-        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(_VECTOR)}
         self._followers.wanted_ramp = SpeedRamp.of(facts)
         planned = self._followers.planned
-        if planned is not None and planned[0] == self._followers.wanted_ramp:
-            columns |= {f"ramp.{name}": planned[1][:, i] for i, name in enumerate(_VECTOR)}
+        ramp = planned[1] if planned is not None and planned[0] == self._followers.wanted_ramp else None
+        vectors, lags = without_lags(vectors, ramp, clocks_of(self._signals.rig.roles))
+        columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(_VECTOR)}
+        if ramp is not None:
+            columns |= {f"ramp.{name}": ramp[:, i] for i, name in enumerate(_VECTOR)}
         start, locked = None, list[str]()
         if self._followers.damping is not None:
             tracked = self._followers.damping.between(since_s, now_s)
@@ -187,7 +190,18 @@ class Pictures:
                 f"tracked.{name}": tracked[:, i] for i, name in enumerate(("t", "c3", "c3_std", "c4", "c4_std"))
             }
             start, locked = list(self._followers.damping.start), list(self._followers.damping.locked)
-        header = {"kind": "slow", "now_s": now_s, "since_s": since_s, "start": start, "locked": locked}
+        stamps = {
+            axis: {"lag_ms": 1e3 * lag.lag_s, "std_ms": 1e3 * lag.std_s, "known": lag.is_line}
+            for axis, lag in lags.items()
+        }
+        header = {
+            "kind": "slow",
+            "now_s": now_s,
+            "since_s": since_s,
+            "start": start,
+            "locked": locked,
+            "stamps": stamps,
+        }
         return encode({**header, "trouble": self._followers.trouble}, columns)
 
     def curves(self) -> bytes:

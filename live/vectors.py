@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 
 from analysis.quantities.order_tracking import order_track
+from analysis.quantities.stamp_lag import StampLag, fitted_lag, unknown_lag
 from live.signals import Signals
 from rig_basics.arrays import Array
+from rig_basics.units import RPM
+from rig_configs.roles import Roles
 
 _REVOLUTIONS, _MIN_WINDOW_S = 2, 0.1  # of one vector's window
 _STEP_RPM, _MAX_INTERVAL_S = 0.4, 5.0  # a vector is kept after this change of speed or this time since the last one
@@ -70,3 +74,32 @@ class LiveVectors:
         """Return rows (rpm, Re X, Im X, Re Y, Im Y) of an interval, mm, shape (n, 5)."""
         rows = [row for row in list(self._rows) if since_s <= row[0] <= at_s]
         return np.array([(rpm, x.real, x.imag, y.real, y.imag) for _, rpm, x, y in rows]).reshape(-1, 5)
+
+
+def clocks_of(roles: Roles) -> dict[str, str]:
+    """Return the clocks of "x", "y" and "phase", as in daq.signals.run.Run."""
+    phase = {} if roles.phase is None else {"phase": roles.phase.device}
+    return {each.axis: each.clock or each.device for each in roles.displacements} | phase
+
+
+def without_lags(rows: Array, planned: Array | None, clocks: Mapping[str, str]) -> tuple[Array, dict[str, StampLag]]:
+    """Return vectors without the lags of the stamps behind the rotor's phase, and these lags.
+
+    Args:
+        rows: measured vectors as from LiveVectors.between, shape (n, 5).
+        planned: vectors of the planned ramp, shape (m, 5); None without one: the lags remain unknown.
+        clocks: clocks of the signals.
+    """
+    out, lags = rows.copy(), dict[str, StampLag]()
+    speed = RPM * rows[:, 0]
+    for axis, real in (("x", 1), ("y", 3)):
+        vectors = rows[:, real] + 1j * rows[:, real + 1]
+        found = None
+        if planned is not None and len(planned):
+            known = planned[np.argsort(planned[:, 0])]
+            at = [np.interp(rows[:, 0], known[:, 0], known[:, real + part]) for part in (0, 1)]
+            found = fitted_lag(speed, vectors, at[0] + 1j * at[1])
+        lags[axis] = found if found is not None and found.is_line else unknown_lag(clocks, axis)
+        shown = lags[axis].without(speed, vectors)
+        out[:, real], out[:, real + 1] = shown.real, shown.imag
+    return out, lags

@@ -23,7 +23,7 @@ from analysis.figures.sheet import (
     Look,
     sheet,
 )
-from analysis.figures.stamp_lag import lag_words
+from analysis.figures.stamp_lag import correction_words, lag_words
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED
@@ -44,17 +44,19 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
         NotEnoughData: a run that stays at one speed, or has no index marks.
     """
     own = passed_vectors(run, model)
-    other = passed_vectors(over, None) if over is not None else None
+    other = passed_vectors(over, model) if over is not None else None  # its lag is another one
     foot = [PHASE_FOOT]
     if own.steady:
         foot.append("Steady response: steady vibration of the model at each speed; a run-up's peak is lower and later.")
     if model is not None and not own.simulated:
         foot.append(NOT_FOLLOWED)
     tops = {name: _HEADROOM * float(np.max(np.abs(seen.amplitude_m))) for name, seen in own.measured.items()}
-    foot += cut_words(own, tops) + interval_words(own.measured) + lag_words(own) + amplification_words(run)
+    drawn = own.corrected
+    foot += cut_words(own, tops) + interval_words(drawn) + lag_words(own) + correction_words(own)
+    foot += amplification_words(run)
     with sheet(WIDTH_IN, 4.3, f"Bode plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
-        grid = figure.subplots(2, len(own.measured), sharex=True, height_ratios=(1, 1.5), squeeze=False)
-        for (upper, lower), (name, measured) in zip(grid.T, own.measured.items(), strict=True):
+        grid = figure.subplots(2, len(drawn), sharex=True, height_ratios=(1, 1.5), squeeze=False)
+        for (upper, lower), (name, measured) in zip(grid.T, drawn.items(), strict=True):
             level = own.steady.get(name, measured)
             _draw(upper, lower, measured, level, MEASURED_LOOK, "measured")
             if own.simulated:
@@ -62,7 +64,7 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
             if own.steady:
                 _draw(upper, lower, own.steady[name], level, STEADY_LOOK, f"steady response, {_of(model)}")
             if other is not None and over is not None and name in other.measured:
-                _draw(upper, lower, other.measured[name], level, OVER_LOOK, f"measured, {Path(over.source).name}")
+                _draw(upper, lower, other.corrected[name], level, OVER_LOOK, f"measured, {Path(over.source).name}")
             lower.set_ylim(0, 1e3 * tops[name])
             lower.set_xlim(left=0)
             label(upper, y=f"{name} {PHASE}")
@@ -80,7 +82,7 @@ def _draw(upper: Axes, lower: Axes, found: OrderVectors, level: OrderVectors, lo
     speed, phase, size = TO_RPM * found.speed_rad_s, found.phase_deg(level), 1e3 * np.abs(found.amplitude_m)
     upper.plot(speed, phase, **look)
     lower.plot(speed, size, label=text, **look)
-    if np.any(found.std_m > 0):
+    if np.any(found.std_m > 0) or found.lag_std_s > 0:
         half, turn = 1e3 * TIMES * found.std_m, phase_half_deg(found)
         band(lower, speed, np.maximum(size - half, 0.0), size + half, look["color"])
         band(upper, speed, phase - turn, phase + turn, look["color"])

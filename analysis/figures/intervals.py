@@ -31,9 +31,8 @@ def area(axes: Axes, x: Array, y: Array, colour: str) -> None:
 
 
 def phase_half_deg(found: OrderVectors) -> Array:
-    """Return half of the 95 % interval of the phase, °, at most 180, shape (n,)."""
-    size = np.maximum(np.abs(found.amplitude_m), 1e-300)
-    return np.minimum(np.degrees(TIMES * found.std_m / size), 180.0)
+    """Return half of the 95 % interval of the phase, °, at most 180, shape (n,), with that of the stamps' lag."""
+    return np.minimum(np.degrees(TIMES * found.phase_std_rad), 180.0)
 
 
 def interval_words(measured: Mapping[str, OrderVectors]) -> list[str]:

@@ -22,10 +22,11 @@ from analysis.figures.order_vectors import (
 )
 from analysis.figures.recorded import need_vectors
 from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
-from analysis.figures.stamp_lag import lag_words
+from analysis.figures.stamp_lag import correction_words, lag_words
 from analysis.figures.steady_part import SteadyPart, steady_part
 from analysis.figures.style import GREY, MEASURED, label
 from analysis.quantities.orbits import OrbitEllipse, orbit_ellipse
+from analysis.quantities.stamp_lag import unknown_lag
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
 from rig_basics.arrays import Array
@@ -72,7 +73,7 @@ def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None)
     need_vectors(run, "an orbit", both=True)
     passing = changes_speed(run)
     panels, compared = _passing(run, model, over) if passing else _steady(run, model, over)
-    foot = [_FOOT, *interval_words(compared.measured), *lag_words(compared)]
+    foot = [_FOOT, *interval_words(compared.corrected), *lag_words(compared), *correction_words(compared)]
     rows, columns = (2, 3) if passing else (1, 1)
     size = (WIDTH_IN, 6.0) if passing else (5.6, 4.9)
     what = "model's ellipse, same run-up" if passing else "model's ellipse"
@@ -105,7 +106,8 @@ def _steady(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[Or
         _ellipse_of(predicted) if predicted else None,
         other,
     )
-    return [panel], PassedVectors(measured, predicted, {})
+    lags = {name: unknown_lag(run.clocks, name) for name in measured}
+    return [panel], PassedVectors(measured, predicted, {}, lags, measured)
 
 
 def _steady_model(run: Run, part: SteadyPart, model: RigModel | None) -> ByName:
@@ -157,8 +159,9 @@ def _passing(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[O
     other = None
     if over is not None:
         need_vectors(over, "an orbit", both=True)
-        other = passed_vectors(over, None).measured
-    x, y = found.measured["x"], found.measured["y"]
+        other = passed_vectors(over, model).corrected
+    measured = found.corrected
+    x, y = measured["x"], measured["y"]
     peaks = sorted(float(v.speed_rad_s[np.argmax(np.abs(v.amplitude_m))]) for v in (x, y))
     low, high = max(x.speed_rad_s[0], y.speed_rad_s[0]), min(x.speed_rad_s[-1], y.speed_rad_s[-1])
     middle = math.sqrt(peaks[0] * peaks[1])
@@ -171,7 +174,7 @@ def _passing(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[O
         raw = _raw(run, float(run.mark_time_s[max(at - 1, 0)]), float(run.mark_time_s[min(at + 2, len(marks))]))
         shown = _ellipse_of(predicted, speed) if predicted else None
         second = None if other is None or not _within(other, speed) else _ellipse_of(other, speed)
-        own, std = _ellipse_of(found.measured, speed), _stds(found.measured, speed)
+        own, std = _ellipse_of(measured, speed), _stds(measured, speed)
         panels.append(OrbitPanel(speed, raw, own, std, shown, second))
     return panels, found
 

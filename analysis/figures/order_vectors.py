@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from analysis.figures.steady_part import SteadyPart, steady_part
 from analysis.quantities.amplification import amplification_factors
 from analysis.quantities.order_tracking import order_track
 from analysis.quantities.rotor_phase import phase_at
+from analysis.quantities.stamp_lag import StampLag, fitted_lag, unknown_lag
 from analysis.rig_model import RigModel
 from analysis.rounding import with_std
 from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run
@@ -35,11 +36,26 @@ class OrderVectors:
         speed_rad_s: speeds, shape (n,).
         amplitude_m: complex amplitudes, shape (n,), x = Re(X e^{iψ}).
         std_m: standard deviation of real and imaginary part each, shape (n,); 0 for a model's.
+        lag_std_s: standard uncertainty of the stamps' lag behind the rotor's phase, s, which turns all vectors in
+            proportion to the speed.
     """
 
     speed_rad_s: Array
     amplitude_m: Complex
     std_m: Array
+    lag_std_s: float = 0.0
+
+    @property
+    def phase_std_rad(self) -> Array:
+        """Standard deviation of the phase, shape (n,)."""
+        own = self.std_m / np.maximum(np.abs(self.amplitude_m), 1e-300)
+        return np.hypot(own, np.abs(self.speed_rad_s) * self.lag_std_s)
+
+    def at(self, speed_rad_s: Array) -> Complex:
+        """Return vectors interpolated at other speeds."""
+        order = np.argsort(self.speed_rad_s)
+        known, values = self.speed_rad_s[order], self.amplitude_m[order]
+        return np.interp(speed_rad_s, known, values.real) + 1j * np.interp(speed_rad_s, known, values.imag)
 
     def phase_deg(self, near: OrderVectors | None = None) -> Array:
         """Return the phase, unwrapped along the speed; NaN where the amplitude is lost in its noise.
@@ -64,14 +80,18 @@ class PassedVectors:
     """Vectors of the recorded displacements ("x", "y") of one run: over its speeds, or one in its last seconds.
 
     Attributes:
-        measured: measured vectors.
+        measured: measured vectors, with the phases of their stamps.
         simulated: vectors of the simulated run; empty without simulation.
         steady: vectors of the model's steady motion at each speed; empty without.
+        lags: lags of the stamps behind the rotor's phase, estimated with the simulated run where it allows this.
+        corrected: measured vectors without the estimated lags, with the uncertainty of these or of unknown ones.
     """
 
     measured: ByName
     simulated: ByName
     steady: ByName
+    lags: Mapping[str, StampLag] = field(default_factory=dict[str, StampLag])
+    corrected: ByName = field(default_factory=dict[str, OrderVectors])
 
 
 def cut_words(found: PassedVectors, tops_m: Mapping[str, float]) -> list[str]:
@@ -199,7 +219,8 @@ def vectors_at_end(run: Run, part: SteadyPart) -> ByName:
     found: ByName = {}
     for name, (time, values) in displacements(run).items():
         at, seen = part.cut(time, values)
-        found[name] = _mean(run.source, at, seen, phase_at(run, at), part.speed_rad_s)
+        mean = _mean(run.source, at, seen, phase_at(run, at), part.speed_rad_s)
+        found[name] = replace(mean, lag_std_s=unknown_lag(run.clocks, name).std_s)
     return found
 
 
@@ -247,9 +268,35 @@ def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
     need_vectors(run, "a plot of 1× vectors")
     need_speeds(run, "1× vectors over speed")
     measured = vectors_of(run)
-    if model is None:
-        return PassedVectors(measured, {}, {})
-    simulated = simulate_run(run, model)
-    return PassedVectors(
-        measured, {} if simulated is None else simulated_vectors(simulated), steady_vectors(model, run)
-    )
+    simulated = None if model is None else simulate_run(run, model)
+    predicted = {} if simulated is None else simulated_vectors(simulated)
+    steady = {} if model is None else steady_vectors(model, run)
+    lags: dict[str, StampLag] = {}
+    corrected: ByName = {}
+    for name, seen in measured.items():
+        corrected[name], lags[name] = _without_lag(run, name, seen, predicted.get(name))
+    return PassedVectors(measured, predicted, steady, lags, corrected)
+
+
+def _without_lag(
+    run: Run, name: str, measured: OrderVectors, simulated: OrderVectors | None
+) -> tuple[OrderVectors, StampLag]:
+    """Return a displacement's vectors without its lag by the simulated run; with an unknown one where this is no line.
+
+    Free vibration turns with its own frequency. The vectors are therefore tracked again at the corrected times, and the
+    lag that these still have is added.
+    """
+    first = None if simulated is None else _lag_of(measured, simulated)
+    if simulated is None or first is None or not first.is_line:
+        unknown = unknown_lag(run.clocks, name)
+        return replace(measured, lag_std_s=unknown.std_s), unknown
+    time, values = displacements(run)[name]
+    again = _tracked(run.source, time - first.lag_s, values, phase_at(run, time - first.lag_s))
+    rest = _lag_of(again, simulated) or replace(first, lag_s=0.0)
+    lag = replace(first, lag_s=first.lag_s + rest.lag_s, std_s=rest.std_s)
+    amplitude = rest.without(again.speed_rad_s, again.amplitude_m)
+    return replace(again, amplitude_m=amplitude, lag_std_s=lag.std_s), lag
+
+
+def _lag_of(measured: OrderVectors, simulated: OrderVectors) -> StampLag | None:
+    return fitted_lag(measured.speed_rad_s, measured.amplitude_m, simulated.at(measured.speed_rad_s))

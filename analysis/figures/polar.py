@@ -24,7 +24,7 @@ from analysis.figures.sheet import (
     Look,
     sheet,
 )
-from analysis.figures.stamp_lag import lag_words
+from analysis.figures.stamp_lag import correction_words, lag_words
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
@@ -39,7 +39,7 @@ _TEXT_DISTANCE = 0.085  # from the curve to its speed's number, relative to the 
 
 _HEADROOM = 1.12  # radius over the largest measured amplitude; a steady resonance may exceed it
 _MIN_CIRCLE = 0.011  # relative to the radius: half the width of the measured curve
-_CIRCLES = "Circles: 95 % areas of the vectors, drawn where they are wider than the line."
+_CIRCLES = "Light areas: 95 % areas of the vectors, drawn where they are wider than the line."
 
 
 def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
@@ -53,17 +53,18 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
         NotEnoughData: the run stays at one speed, or has no index marks.
     """
     own = passed_vectors(run, model)
-    other = None if over is None else passed_vectors(over, None)
+    other = None if over is None else passed_vectors(over, model)
     foot = [
         "Radius: 1× amplitude, mm (0–peak). Angle: phase, °, counterclockwise lead. Dots: speed in rpm.",
         PHASE_FOOT,
     ]
     tops = {name: _HEADROOM * float(np.max(np.abs(seen.amplitude_m))) for name, seen in own.measured.items()}
-    foot += cut_words(own, tops) + interval_words(own.measured) + [_CIRCLES] + lag_words(own)
+    drawn = own.corrected
+    foot += cut_words(own, tops) + interval_words(drawn) + [_CIRCLES] + lag_words(own) + correction_words(own)
     named = "" if model is None else model.name
     with sheet(WIDTH_IN, 4.3, f"Polar plot, 1×: {Path(run.source).name} ({run.test})", foot) as figure:
-        for column, (name, measured) in enumerate(own.measured.items()):
-            axes = figure.add_subplot(1, len(own.measured), column + 1, projection="polar")
+        for column, (name, measured) in enumerate(drawn.items()):
+            axes = figure.add_subplot(1, len(drawn), column + 1, projection="polar")
             top = 1e3 * tops[name]
             _curve(axes, measured, MEASURED_LOOK, "measured", top)
             _circles(axes, measured, top, MEASURED_LOOK["color"])
@@ -72,8 +73,8 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
             if own.steady:
                 _curve(axes, own.steady[name], STEADY_LOOK, f"steady response, {named}", top)
             if other is not None and over is not None and name in other.measured:
-                _circles(axes, other.measured[name], top, OVER_LOOK["color"])
-                _curve(axes, other.measured[name], OVER_LOOK, f"measured, {Path(over.source).name}", top)
+                _circles(axes, other.corrected[name], top, OVER_LOOK["color"])
+                _curve(axes, other.corrected[name], OVER_LOOK, f"measured, {Path(over.source).name}", top)
             _scales(axes, top, _speeds(axes, measured, top))
             label(axes, title=f"{name}, mm")
     return figure
@@ -86,12 +87,16 @@ def _curve(axes: Axes, found: OrderVectors, look: Look, text: str, top: float) -
 
 
 def _circles(axes: Axes, found: OrderVectors, top: float, colour: str) -> None:
-    """Draw a 95 % circle about each vector whose circle is wider than the curve."""
-    turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
-    for amplitude, std in zip(found.amplitude_m.tolist(), found.std_m.tolist(), strict=True):
-        if 1e3 * TIMES_IN_PLANE * std > _MIN_CIRCLE * top:
-            edge = 1e3 * (amplitude + TIMES_IN_PLANE * std * turn)
-            area(axes, np.angle(edge), np.abs(edge), colour)
+    """Draw the 95 % area of each vector that is wider than the curve: a circle, wider along the turn by the lag's."""
+    around = np.linspace(0, 2 * np.pi, 73)
+    turns = np.minimum(TIMES_IN_PLANE * np.abs(found.speed_rad_s) * found.lag_std_s, np.pi)
+    rows = zip(found.amplitude_m.tolist(), found.std_m.tolist(), turns.tolist(), strict=True)
+    for amplitude, std, turned in rows:
+        half = max(TIMES_IN_PLANE * std, abs(amplitude) * turned)
+        if abs(amplitude) > 0 and 1e3 * half > _MIN_CIRCLE * top:
+            along = amplitude / abs(amplitude) * np.exp(1j * around)
+            edge = 1e3 * (amplitude + TIMES_IN_PLANE * std * along) * np.exp(1j * turned * np.sin(around))
+            area(axes, np.unwrap(np.angle(edge)), np.abs(edge), colour)
 
 
 def _smooth(vectors: Complex) -> Complex:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.figures.order_vectors import OrderVectors, PassedVectors
-from rig_basics.arrays import Array, Complex
+from analysis.figures.intervals import TIMES
+from analysis.figures.order_vectors import PassedVectors
+from analysis.quantities.stamp_lag import UNKNOWN_LAG_STD_S, fitted_lag
 from rig_basics.units import TO_RPM
 
-_MAX_REST_RAD, _MAX_REST_SHARE = math.radians(1.5), 0.25  # rms residual of a line, absolute and of the whole phase
 _MIN_STDS = 3.0  # phase at one speed in standard deviations above which it is reported
 _LEAST_RAD = math.radians(0.5)
 _FREE = "Every fit leaves this shift between the devices free."
@@ -32,7 +31,7 @@ def lag_words(found: PassedVectors) -> list[str]:
         return []
     if all(len(seen.speed_rad_s) == 1 for seen in found.measured.values()):
         return _one_speed_words(found)
-    words = [_lag_word(name, found.simulated[name], seen) for name, seen in found.measured.items()]
+    words = [_lag_word(name, found) for name in found.measured]
     lags = [word for word, is_line in words if is_line and word]
     others = [word for word, is_line in words if not is_line and word]
     messages: list[str] = []
@@ -77,29 +76,31 @@ def _one_speed_words(found: PassedVectors) -> list[str]:
     ]
 
 
-def _lag_word(name: str, model: OrderVectors, measured: OrderVectors) -> tuple[str, bool]:
+def _lag_word(name: str, found: PassedVectors) -> tuple[str, bool]:
     """Describe a displacement's lag, and whether it is one; else the residual of a line. Empty with too few vectors."""
-    speed, simulated = measured.speed_rad_s, _complex_interp(measured.speed_rad_s, model)
-    ahead = np.angle(measured.amplitude_m * np.conj(simulated))
-    weight = np.abs(simulated) * np.abs(measured.amplitude_m)
-    good = np.isfinite(ahead) & np.isfinite(weight)
-    speed, ahead, weight = speed[good], ahead[good], weight[good]
-
-    def lag_of(part: NDArray[np.bool_] | slice) -> float:
-        return -float((weight * speed * ahead)[part].sum() / (weight * speed**2)[part].sum())
-
-    passed = np.cumsum(weight * speed**2)
-    slow = passed <= 0.5 * passed[-1:]
-    if not 0 < np.count_nonzero(slow) < len(slow) or not passed[slow][-1] > 0:
+    measured = found.measured[name]
+    lag = fitted_lag(measured.speed_rad_s, measured.amplitude_m, found.simulated[name].at(measured.speed_rad_s))
+    if lag is None:
         return "", False
-    lag, std = lag_of(slice(None)), 0.5 * abs(lag_of(slow) - lag_of(~slow))
-    rest = math.sqrt(float(np.average((ahead + lag * speed) ** 2, weights=weight)))
-    if rest > _MAX_REST_RAD and rest > _MAX_REST_SHARE * math.sqrt(float(np.average(ahead**2, weights=weight))):
-        return f"a line leaves {math.degrees(rest):.0f}° rms in {name}", False
-    return f"{name} {1e3 * abs(lag):.2f} ± {max(1e3 * std, 0.01):.2f} ms {'late' if lag > 0 else 'early'}", True
+    if not lag.is_line:
+        return f"a line leaves {math.degrees(lag.rest_rad):.0f}° rms in {name}", False
+    lag = found.lags.get(name, lag)
+    return f"{name} {1e3 * abs(lag.lag_s):.2f} ± {1e3 * lag.std_s:.2f} ms {'late' if lag.lag_s > 0 else 'early'}", True
 
 
-def _complex_interp(speed: Array, found: OrderVectors) -> Complex:
-    order = np.argsort(found.speed_rad_s)
-    at, values = found.speed_rad_s[order], found.amplitude_m[order]
-    return np.interp(speed, at, values.real) + 1j * np.interp(speed, at, values.imag)
+def correction_words(found: PassedVectors) -> list[str]:
+    """Describe what the drawn phases and their intervals contain of the lags, in a sentence."""
+    corrected = [name for name, lag in found.lags.items() if lag.is_line]
+    unknown = [name for name, lag in found.lags.items() if not lag.is_line and lag.std_s > 0]
+    messages: list[str] = []
+    if corrected:
+        messages.append(
+            f"Measured vectors of {' and '.join(corrected)} are drawn without this shift; its ± is part of the "
+            "intervals of the phase."
+        )
+    if unknown:
+        messages.append(
+            f"The shift of {' and '.join(unknown)} against the rotor's phase is not known: ± "
+            f"{1e3 * TIMES * UNKNOWN_LAG_STD_S:.0f} ms (separate clocks) are part of the intervals of the phase."
+        )
+    return messages

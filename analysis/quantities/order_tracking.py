@@ -26,7 +26,8 @@ class OrderTrack:
         time_s: time of each row, shape (n,), s.
         orders: requested orders.
         amplitude_m: complex amplitudes A_k, shape (n, len(orders)), m.
-        std_m: standard deviation of the real and of the imaginary part, each.
+        std_m: standard deviation of the real and of the imaginary part, each, by noise. An unknown lag of the stamps
+            behind those of the phase turns A_k in addition by k ω times the lag (`analysis.quantities.stamp_lag`).
         offset_m: mean of the signal, shape (n,), m.
         residual_m: rms residual of the fit, shape (n,), m.
         samples: number of finite samples of each row, shape (n,).

@@ -167,7 +167,8 @@ class Orbit {
 
 class Bode {
   constructor(element, { header, columns }) {
-    element.querySelector(".legend").innerHTML = 'measured&nbsp;●△, steady response,&nbsp;model&nbsp;―┄<span class="ramp" hidden>, this&nbsp;ramp,&nbsp;model&nbsp;<span class="kr">―┄</span></span>: <span class="kx">x&nbsp;●&nbsp;―</span> <span class="ky">y&nbsp;△&nbsp;┄</span> phase wrapped to&nbsp;±180°, lead&nbsp;positive';
+    element.querySelector(".legend").innerHTML = 'measured&nbsp;●△, steady response,&nbsp;model&nbsp;―┄<span class="ramp" hidden>, this&nbsp;ramp,&nbsp;model&nbsp;<span class="kr">―┄</span></span>: <span class="kx">x&nbsp;●&nbsp;―</span> <span class="ky">y&nbsp;△&nbsp;┄</span> phase wrapped to&nbsp;±180°, lead&nbsp;positive<span class="stamps"></span>';
+    this.stamps = element.querySelector(".stamps");
     this.ramp = element.querySelector(".ramp"); element.querySelector(".kr").style.color = INK.model;
     element.querySelector(".kx").style.color = INK.x; element.querySelector(".ky").style.color = INK.y;
     const border = () => ({ x_range: new Bokeh.Range1d({ start: 0, end: header.speed_rpm }), min_border_left: 60, min_border_right: 8 });
@@ -194,8 +195,10 @@ class Bode {
     }
     this.calm.fit(0, Math.min(this.most, 1.3 * header.amplitude_mm), 0);
   }
-  draw({ columns }, now) {
+  draw({ header, columns }, now) {
     const rpm = columns["bode.rpm"] || [], ahead = columns["ramp.rpm"] || [];
+    const stamps = rpm.length ? Object.entries(header.stamps).map(([axis, stamp]) => stampWords(axis, stamp, rpm[rpm.length - 1])).join("") : "";
+    if (this.stamps.textContent !== stamps) this.stamps.textContent = stamps;
     let most = 0;
     this.ramp.hidden = !ahead.length;
     for (const axis of ["x", "y"]) {
@@ -211,6 +214,14 @@ class Bode {
     return rpm.length;
   }
 }
+
+const TIMES = 1.96; // standard deviations of half a 95 % interval
+const stampWords = (axis, { lag_ms: lag, std_ms: std, known }, rpm) => { // how far a phase is known, at the newest speed
+  if (!std) return "";
+  const half = Math.min(180, TIMES * std * 1e-3 * 6 * Math.abs(rpm)); // 6° per second and rpm
+  const shift = known ? `without ${Math.abs(lag).toFixed(1)} ms by which its stamps are ${lag > 0 ? "late" : "early"}` : "stamps' shift unknown";
+  return `; phase of ${axis} ± ${half < 10 ? half.toFixed(1) : half.toFixed(0)}° at ${rpm.toFixed(0)} rpm (95 %, ${shift})`;
+};
 
 const polar = (re = [], im = []) => {
   const amplitude = new Float64Array(re.length), phase = new Float64Array(re.length);
