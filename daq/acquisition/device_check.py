@@ -241,7 +241,7 @@ def _clock(std_ns: float, seconds: float) -> Checks:
     note = {
         True: "",
         False: "its bytes arrive very unevenly: look at the adapter, its latency setting, and the host's load",
-        None: f"not resolved: observe for {_CLOCK_S:g} s (--seconds {_CLOCK_S:g})",
+        None: f"not resolved: observe for {_CLOCK_S:g} s",
     }[fine]
     most = f"at most {_MAX_CLOCK_STD_NS * 1e-3:g}"
     return {"clock_std_us": DeviceCheck(round(std_ns * 1e-3, 1), most, fine, note)}

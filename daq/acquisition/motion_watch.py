@@ -80,10 +80,10 @@ class MotionWatch:
         self._speeds.append((now_ns, abs(rpm) * RPM if held else math.nan))
         speed = self._speeds[-1][1]
         if not speed > 0:
-            self._forget(now_ns)
+            self._drop(now_ns)
             return None
         window_s = self._window_s(speed)
-        self._forget(now_ns - round(window_s * 1e9))
+        self._drop(now_ns - round(window_s * 1e9))
         speeds = [each for _, each in self._speeds]
         full = (now_ns - self._speeds[0][0]) * 1e-9 >= (1 - _MAX_GAP) * window_s
         if not full or any(math.isnan(each) for each in speeds):
@@ -96,7 +96,7 @@ class MotionWatch:
         beats = [2 * math.pi / (speed - natural) for natural in naturals if speed > 1.01 * natural]
         return max(WINDOW_S, TURNS * 2 * math.pi / speed, BEATS * max(beats, default=0.0))
 
-    def _forget(self, before_ns: int) -> None:
+    def _drop(self, before_ns: int) -> None:
         for kept in (self._speeds, *self._reads.values()):
             while kept and kept[0][0] < before_ns:
                 kept.popleft()

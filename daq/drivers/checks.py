@@ -71,7 +71,7 @@ def longer(seconds: float, bound: float, room: float) -> str:
     needed_s = seconds * bound / room if room > 0 else math.inf
     if needed_s > _MAX_OBSERVATION_S:
         return "not resolved: the value is too near the limit, or too uncertain on this host"
-    return f"not resolved: observe for {math.ceil(needed_s)} s (--seconds {math.ceil(needed_s)})"
+    return f"not resolved: observe for {math.ceil(needed_s)} s"
 
 
 _MAX_OBSERVATION_S = 120.0

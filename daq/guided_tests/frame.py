@@ -15,7 +15,7 @@ from rig_configs.schema import Rig
 _MAX_STATUS_S = 2.5  # wait for a device's description; it is sent every second, and one message may be lost
 _LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the counters are checked, rig s
 _SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, rig s
-_HELD_S = 1.0  # for which a speed must be held, so that a ramp that passes it does not count, rig s
+_HELD_S = 1.0  # for which a drive must hold a speed, so that a ramp that passes it does not count, rig s
 _BY_HAND_S = 240.0  # the same if a person turns the rotor, wall s
 _NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbit is several times as large
 
@@ -43,14 +43,14 @@ def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple
         free: whether the pendulums are free meanwhile, as in a start-up from rest.
     """
     role = request.rig.roles.speed
-    ramp = HAND_RAMP_RPM_S if role is None else role.ramp_rpm_per_s
+    ramp, hold_s = (HAND_RAMP_RPM_S, 0.0) if role is None else (role.ramp_rpm_per_s, _HELD_S)
 
     def at_speed(view: StateView) -> StateObservation:
         off = max(abs(speed - rpm) for speed in speeds_of(view))
         if math.isnan(view.rpm):
             return StateObservation(False, f"spinning up to {rpm:.0f} rpm: the speed is not measured yet")
         since_ns = view.memory.get("at_speed_ns") or view.now_ns if off < speed_tolerance_rpm(rpm) else None
-        held = since_ns is not None and view.now_ns >= since_ns + _HELD_S * 1e9
+        held = since_ns is not None and view.now_ns >= since_ns + hold_s * 1e9
         return StateObservation(
             held and not view.measures.speed_doubt(),
             f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm",

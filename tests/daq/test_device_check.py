@@ -285,12 +285,12 @@ SHORT = {
 @pytest.mark.parametrize(
     ("what", "device", "check", "advice"),
     [
-        ("rates", "laser_x", "clock_ppm", "observe for 18 s (--seconds 18)"),
-        ("clock_stds_ns", "laser_x", "clock_std_us", "observe for 5 s (--seconds 5)"),
+        ("rates", "laser_x", "clock_ppm", "observe for 18 s"),
+        ("clock_stds_ns", "laser_x", "clock_std_us", "observe for 5 s"),
         ("displacements", "laser_x", "invalid_samples", "observe for"),
         ("displacements", "laser_x", "noise_um", "256 valid samples are needed"),
         ("seconds", "laser_y", "steady_lines_um", "observe for 6 s"),
-        ("speed.reports_Hz", "drive", "speed_reports_Hz", "observe for 4 s (--seconds 4)"),
+        ("speed.reports_Hz", "drive", "speed_reports_Hz", "observe for 4 s"),
         ("time_out", "drive", "time_out_s", "± 0.2 s by the periods of the messages"),
     ],
 )
