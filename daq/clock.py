@@ -137,7 +137,8 @@ def clock_rules(identity: Mapping[str, Any]) -> int:
       nor is the message by which a radio node reports before its first sample that it was switched on;
     - a step of a node's clock, which contradicts the number of its samples, is an event, and later times are put back
       by it;
-    - an index mark that bounces is dropped and not counted; turns that were not counted are an event.
+    - an index mark that bounces is dropped and not counted; turns that were not counted are an event;
+    - losses of an RF60x on a busy host are also found by the least delays of two seconds.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.

@@ -9,7 +9,7 @@ from daq.clock import CLOCK_RULES
 from daq.drivers.riftek import stream, wire
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
-from tests.daq.test_riftek_stream import START_NS, codes_of, column, feed, laser, pipeline, reads_of
+from tests.daq.test_riftek_stream import START_NS, codes_of, column, feed, laser, pipeline, reads_of, without
 
 MS = 1_000_000
 Items = list[Batch | DeviceEvent]
@@ -273,3 +273,19 @@ def test_another_rate_is_a_sign_of_a_lost_set_up_unless_bytes_are_damaged(damage
     pipe.set_up_lost = "x"
     assert pipe.set_up_lost == "x"
     assert stream.NOT_NEW == 2
+
+
+@pytest.mark.parametrize(("rules", "found"), [(10, True), (9, False)])
+@pytest.mark.parametrize("lost", [60, 0])
+def test_a_loss_on_a_busy_host_is_found_by_the_least_lags_of_seconds(rules: int, found: bool, lost: int) -> None:
+    """Results at 2 kHz on a host whose reads are late by 20 ms on the average; 60 results are 30 ms."""
+    for seed in (0, 2, 3):
+        numbers = without(30_000, 15_000, lost)
+        pipe = pipeline(laser(2000.0), {"clock_rules": rules})
+        batches, gaps = feed(pipe, reads_of(numbers, 2000.0, 0.02, seed))
+        expected = lost if found else 0
+        assert pipe.losses["samples"] == pytest.approx(expected, abs=4)
+        assert int(batches[-1].columns["counter"][-1]) == 29_999 + pipe.losses["samples"]
+        late = [event for event in gaps if "found_late" in event.facts]
+        assert bool(late) == (found and lost > 0)
+        assert all("within the last 2.50 s" in event.text for event in late)

@@ -7,7 +7,8 @@ uses the smallest lag of each interval of 0.25 s, and whether it stays increased
 
 The sensitivity depends on how regularly the host reads. The smallest lags of undisturbed intervals scatter. An increase
 counts as loss if it exceeds `guard_ns`: six times that scatter, at least 2 ms and three periods. Losses of multiples of
-4 below the guard are not detected, and the count of a larger loss may be wrong by as much. No loss is detected in the
+4 below the guard are not detected, and the count of a larger loss may be wrong by as much. On a busy host the guard is
+large; losses of a third of it are then found after 2 s, by the least lag of eight intervals. No loss is detected in the
 first 1.5 s, or while results arrive at another rate than that of the rig file.
 """
 
@@ -26,6 +27,7 @@ _RISEN_INTERVALS = 3  # consecutive intervals with an increased lag that show a 
 _MIN_READS = 4  # reads in an interval that is used
 _MIN_GUARD_NS = 2_000_000
 _GUARD_SCATTERS = 6.0
+_LONG_GUARD_SCATTERS = 2.0  # eight standard deviations of the difference of least lags of eight intervals
 _MAX_DRIFT = 1e-3  # relative deviation of the rate that a clock explains; a larger one is another rate
 _MIN_FAR_NS = 30_000_000
 
@@ -35,10 +37,15 @@ class ReadLags:
 
     Args:
         period_ns: sampling period, ns.
+        looks_back: whether losses are also found by the least lags of eight intervals, as in logs of rules 10.
+
+    Attributes:
+        since_s: longest time since the loss that was found last, s.
     """
 
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
+    def __init__(self, period_ns: int, *, looks_back: bool = True) -> None:
+        self._period_ns, self._looks_back = period_ns, looks_back
+        self.since_s: float = 0.0
         self._interval_ns = max(_INTERVAL_NS, _INTERVAL_PERIODS * period_ns)
         self._done: deque[tuple[int, float]] = deque(maxlen=_MAX_INTERVALS)  # index of an interval, its least lag, ns
         self._now: tuple[int, float, int] | None = None  # index, least lag and reads of the present interval
@@ -93,9 +100,12 @@ class ReadLags:
         if reads < _MIN_READS:
             return 0
         self._done.append((number, lag))
-        lost = self._rise()
+        lost, count = self._rise(), _RISEN_INTERVALS
+        if not lost and self._looks_back:
+            lost, count = self._long_rise(), _MAX_INTERVALS // 3
         if lost:
-            risen = [self._done.pop() for _ in range(_RISEN_INTERVALS)]
+            self.since_s = (count + 2) * self._interval_ns * 1e-9
+            risen = [self._done.pop() for _ in range(count)]
             self._done += [(number, lag - lost * self._period_ns) for number, lag in reversed(risen)]
         self._expect()
         return lost
@@ -123,6 +133,20 @@ class ReadLags:
             found - lag - self._slope * (number - interval) for number, found in list(self._done)[-_RISEN_INTERVALS:]
         )
         return self.missing(above)
+
+    def _long_rise(self) -> int:
+        """Return the missing results by the least lags of the newest, the middle and the oldest third, else 0.
+
+        On a busy host the least lag of an interval scatters; that of eight intervals scatters by an eighth of it. The
+        drift of the clock is that from the oldest to the middle third.
+        """
+        if len(self._done) < _MAX_INTERVALS:
+            return 0
+        lags, third = [lag for _, lag in self._done], _MAX_INTERVALS // 3
+        oldest, middle, newest = min(lags[:third]), min(lags[third : 2 * third]), min(lags[2 * third :])
+        rise = newest - middle - abs(middle - oldest)
+        guard = max(_MIN_GUARD_NS, 3.0 * self._period_ns, _LONG_GUARD_SCATTERS * self._scatter_ns)
+        return NUMBERS * round(rise / (NUMBERS * self._period_ns)) if rise >= guard else 0
 
     def _expect(self) -> None:
         """Update the expected lag from all but the newest intervals, whose lags may have increased already."""

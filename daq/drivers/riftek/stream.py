@@ -45,6 +45,7 @@ NOT_NEW = 0x2
 _NO_READING = 0x3FFFF  # code for the spike detector: above any reading
 _WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
 _MAX_WAIT_ROWS = 65_536  # results that may wait
+_LONG_RULES = 10  # first rules by which smaller losses on a busy host are found after 2 s
 _LOSS_AT_COMMAND_RULES = 7  # first rules by which only a stop or start of the stream ends a wait, as the log's end does
 
 Items = list[Batch | DeviceEvent]
@@ -121,8 +122,8 @@ class RiftekPipeline:
         self._period_ns = 1000 * settings.period_us
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = ResultDecoder()
-        self._lags = ReadLags(self._period_ns)
         self._rules = clock_rules(identity)
+        self._lags = ReadLags(self._period_ns, looks_back=self._rules >= _LONG_RULES)
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules)
         self._spikes = SpikeWatch()
         self._number = -1  # number of the last sample returned, including lost ones
@@ -323,7 +324,8 @@ class RiftekPipeline:
                 text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._lags.uncertainty}"
             if found_late and i == 0:
                 facts["found_late"] = found_late
-                text += f"; {found_late} of them within the last 1.25 s: the times since their loss are early by that"
+                text += f"; {found_late} of them within the last {self._lags.since_s:.2f} s: the times since "
+                text += "their loss are early by that"
             out.append(DeviceEvent("gap", self._device, text, facts))
         return out
 
