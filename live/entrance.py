@@ -219,7 +219,7 @@ class Entrance:
             self._pass_on(guest)
 
     def _pass_on(self, guest: _Guest) -> None:
-        self._forget(guest)
+        self._detach(guest)
         if self._hand_over(guest.socket, bytes(guest.received)):
             return
         self._count(guest.address, "busy")
@@ -313,13 +313,13 @@ class Entrance:
                 self._close(guest)
 
     def _close(self, guest: _Guest) -> None:
-        self._forget(guest)
+        self._detach(guest)
         guest.socket.close()
         if self._reserve is None:
             with ignoring(_log, "reserving a file", OSError):
                 self._reserve = self._listening.dup()
 
-    def _forget(self, guest: _Guest) -> None:
+    def _detach(self, guest: _Guest) -> None:
         self._remove(guest)
         self._selector.unregister(guest.socket)
 
