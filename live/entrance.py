@@ -33,7 +33,7 @@ from rig_basics.ignoring import ignoring
 
 STOP_PATH = "/stop"
 MOST_ASKING, MOST_ANSWERED = 256, 64
-"""Connections that have not sent a whole request, and such as wait for the answer of STOP or read it. Together with
+"""Connections without a whole request, and those that wait for the answer of STOP or read it. Together with
 those that wait to be handed over they remain far below the 1 024 files of a process."""
 _ASKING_S, _ANSWER_S, _READING_S = 5.0, 2.0, 1.0
 _MAX_HEAD_BYTES, _READ_BYTES = 16 * 1024, 16 * 1024
@@ -219,7 +219,7 @@ class Entrance:
             self._pass_on(guest)
 
     def _pass_on(self, guest: _Guest) -> None:
-        self._forget(guest)
+        self._detach(guest)
         if self._hand_over(guest.socket, bytes(guest.received)):
             return
         self._count(guest.address, "busy")
@@ -313,13 +313,13 @@ class Entrance:
                 self._close(guest)
 
     def _close(self, guest: _Guest) -> None:
-        self._forget(guest)
+        self._detach(guest)
         guest.socket.close()
         if self._reserve is None:
             with ignoring(_log, "reserving a file", OSError):
                 self._reserve = self._listening.dup()
 
-    def _forget(self, guest: _Guest) -> None:
+    def _detach(self, guest: _Guest) -> None:
         self._remove(guest)
         self._selector.unregister(guest.socket)
 

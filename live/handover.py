@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 
 class SocketSender:
-    """Sends connections from a thread of its own, so that a process that reads nothing delays nobody.
+    """Sends connections from a thread of its own, so that a process that reads nothing delays no other.
 
     Args:
         pipe: pipe to the other process, two-way.

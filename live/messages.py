@@ -17,7 +17,7 @@ def parsed_object(message: str | bytes) -> dict[str, Any]:
 
     Raises:
         InvalidRequest: it is not a JSON object, is nested too deeply, or contains a number that is not finite or a
-            character that is none (half of a surrogate pair).
+            character that does not exist alone (half of a surrogate pair).
     """
     try:
         found: Any = json.loads(message, parse_constant=_no_number, parse_int=_whole, parse_float=_finite)

@@ -234,7 +234,7 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
         return None
     try:
         if changes_speed(run):
-            return PassedVectors(vectors_of(run), simulated_vectors(simulated), {})
+            return _with_lags(run, vectors_of(run), simulated_vectors(simulated), {})
         part = steady_part(run)
         predicted = {
             name: _mean(
@@ -271,6 +271,10 @@ def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
     simulated = None if model is None else simulate_run(run, model)
     predicted = {} if simulated is None else simulated_vectors(simulated)
     steady = {} if model is None else steady_vectors(model, run)
+    return _with_lags(run, measured, predicted, steady)
+
+
+def _with_lags(run: Run, measured: ByName, predicted: ByName, steady: ByName) -> PassedVectors:
     lags: dict[str, StampLag] = {}
     corrected: ByName = {}
     for name, seen in measured.items():

@@ -29,7 +29,7 @@ class StampLag:
     Attributes:
         lag_s: lag, s; positive: the stamps are later than those of the rotor's phase.
         std_s: standard uncertainty.
-        rest_rad: rms phase that remains beside the line, weighted by the amplitudes.
+        rest_rad: rms phase that the line leaves, weighted by the amplitudes.
         is_line: whether the phase is a line over speed through 0; else the difference has another cause.
     """
 

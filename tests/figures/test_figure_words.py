@@ -79,7 +79,7 @@ def late_ms(text: str) -> dict[str, float]:
 
 def test_bands_hold_the_models_own_vectors() -> None:
     figure = drawn(draw_bode, with_model=True)
-    found = passed_vectors(run_up(), None).measured["x"]
+    found = passed_vectors(run_up(), MODEL).corrected["x"]
     lower = figure.axes[2]
     band = next(c for c in lower.collections if isinstance(c, PolyCollection) and c.get_label() == NAME)
     edge = np.asarray(band.get_paths()[0].vertices, float)
