@@ -297,7 +297,7 @@ SHORT = {
 def test_a_limit_that_the_observation_does_not_resolve_is_no_tick(
     what: str, device: str, check: str, advice: str
 ) -> None:
-    """An error of ± 1200 ppm says nothing about a limit of 150 ppm."""
+    """An error of ± 1200 ppm leaves a limit of 150 ppm open."""
     found = changed(healthy(), what, SHORT[what]).judged()[device]
     assert found[check].passed is None
     assert found[check].facts()["verdict"] == "not resolved"

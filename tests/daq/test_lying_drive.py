@@ -14,7 +14,7 @@ from tests.effort import thorough
 
 
 class LyingDrive(Rehearsal):
-    """The virtual rig with a drive that turns the rotor `ratio` times as fast as it was told, and as it reports."""
+    """The virtual rig whose drive turns the rotor `ratio` times as fast as commanded and as reported."""
 
     def __init__(self, folder: Path, ratio: float) -> None:
         super().__init__("virtual", folder)
