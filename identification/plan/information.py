@@ -108,5 +108,6 @@ def spin_down_bound(
         if with_friction:
             jacobian = np.hstack([jacobian, friction_columns(rate_per_s, start_speed_rad_s, t)])
         weight = np.sqrt(rate_Hz * record_s / 4000) / noise_rad
-        return float(np.sqrt(covariance(jacobian * weight, np.full(jacobian.shape[1], np.inf), 1)[0, 0]))
+        free = np.array([np.inf] * len(jacobian.T))  # no unknown has a prior
+        return float(np.sqrt(covariance(jacobian * weight, free, 1)[0, 0]))
     return noise_rad * rate_per_s / start_speed_rad_s * float(np.sqrt(8 * rate_per_s / rate_Hz))
