@@ -21,6 +21,7 @@ from identification.pendulums.locked_start import LockedStart
 from rig_basics.arrays import Array
 
 _STEP_SHARE = 0.08  # step over the inverse of the fastest rate, as for the free motion
+_MAX_STEPS = 2000  # between the instants: some 40 are usual, a distant trial of a minimiser would need billions
 _DIFFERENCE = 1e-6  # step of a state, over its typical size, and of the logarithm of a parameter
 _LOGARITHMS = 7  # ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P
 _UNUSUAL_STDS = 3.0  # standard deviations of a usual lock that it exceeds in one of 370 openings
@@ -98,8 +99,8 @@ def opened_locks(
     angles_rad: tuple[float, float],
     shifts_s: tuple[float, float],
     deviation: Array,
-) -> OpenedLocks:
-    """Return the state when the later lock opens.
+) -> OpenedLocks | None:
+    """Return the state when the later lock opens; None if its motion cannot be integrated, as for a distant trial.
 
     Args:
         rest: locked rig before the release.
@@ -117,6 +118,8 @@ def opened_locks(
     free = (1.0, 0.0) if later == 1 else (0.0, 1.0)
 
     step = _STEP_SHARE / fastest_rate(physics, rest.speed_rad_s)  # the same for all differences
+    if span[1] - span[0] > _MAX_STEPS * step:
+        return None
     knots, coefficients = rest.history.knots_s, rest.history.coefficients
 
     def moved(start: Array, changed: RotorParameters) -> Array:

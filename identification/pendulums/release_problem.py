@@ -226,6 +226,8 @@ class RecordedRelease:
         if not np.max(np.abs(instants)) < self.begin_s - rest.release_s:
             return bad
         opened = opened_locks(rest, physics_of, (true[0], true[1]), (instants[0], instants[1]), theta[_DISK])
+        if opened is None:
+            return bad
         last = max(float(c.time_s[-1]) for c in cut)
         dry, dry_by = self._dry(theta, shape)
         motion = swing(now, rest.history, opened.state, opened.at_s, self.begin_s, last, dry, slopes)
