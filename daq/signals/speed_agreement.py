@@ -4,7 +4,9 @@ A drive computes its speed from its own settings (pole pairs, gear, unit), so a 
 alike. The index marks count the rotor's own turns. The turns counted at the marks are a straight function of the
 turns by the reports, N(t) = ∫n dt, and of the delay τ of the reports: turns = ρ N(t) + ρ τ n(t) + constant. The ratio
 ρ, τ and the constant follow by least squares, τ with a prior of standard deviation `REPORT_DELAY_S`. A ramp therefore
-needs no window of constant speed.
+needs no window of constant speed. The times of the marks may drift against those of the reports, evenly and with the
+square of the time, by `_DRIFT_S` each: on a ramp only the curvature of N(t) separates ρ from τ, and 3 ms of drift in
+3 s would count as 2.7 % of ρ.
 
 The uncertainty of ρ contains the errors of the marks in time, by the residuals if they are larger than stated, the
 delay, and one step of the reports, which may be truncated.
@@ -26,6 +28,7 @@ REPORT_DELAY_S = 0.1
 """Delay of a speed report by the drive's filter, the bus and the host, s."""
 _STEP_RPM = 1.0  # reports of CiA 402 in velocity mode are whole rpm; truncation and rounding are not distinguished
 _MARK_STD_S = 1e-3  # of one mark on the common clock: clock map and index sensor
+_DRIFT_S, _DRIFTING_S = 5e-3, 3.0  # of a clock's map on a busy host, s, and its first seconds in which it drifts
 _STDS = 3.0  # coverage of the ratio's uncertainty
 _MIN_TURNS = 5
 _MIN_RPM_STEPS = 10.0  # at lower speeds the steps of the reports exceed a tenth of the speed
@@ -145,16 +148,27 @@ def speed_agreement(
     mean_rpm, marks_rpm = 60.0 * float(by_reports[-1]) / span_s, 60.0 * turned / span_s
     if min(mean_rpm, marks_rpm) < _MIN_RPM_STEPS * _STEP_RPM:
         return None
-    ratio, std = _fitted_ratio(counted - counted[0], by_reports[at_marks], per_s[at_marks])
+    place = 2.0 * (times - times[0]) / span_s - 1.0
+    true_per_s = per_s[at_marks] * turned / by_reports[-1]
+    drift_s = _DRIFT_S * min(1.0, span_s / _DRIFTING_S)
+    ratio, std = _fitted_ratio(counted - counted[0], by_reports[at_marks], true_per_s, place, drift_s)
     return SpeedAgreement(marks_rpm, mean_rpm, ratio, math.hypot(std, ratio * 0.5 * _STEP_RPM / mean_rpm))
 
 
-def _fitted_ratio(counted: Array, by_reports: Array, per_s: Array) -> tuple[float, float]:
-    """Return ratio and standard uncertainty from the turns at the marks; all arrays of shape (n,), n ≥ 2."""
+def _fitted_ratio(counted: Array, by_reports: Array, per_s: Array, place: Array, drift_s: float) -> tuple[float, float]:
+    """Return ratio and standard uncertainty from the turns at the marks; all arrays of shape (n,), n ≥ 2.
+
+    Args:
+        counted, by_reports: turns by the marks and by the reports.
+        per_s: speed at each mark, turns per second.
+        place: time of each mark, from −1 at the first to 1 at the last.
+        drift_s: standard deviation of the even and of the quadratic drift of their times, s.
+    """
     std_turns = _MARK_STD_S * float(np.max(per_s))
-    rows = np.column_stack([by_reports, per_s, np.ones(len(counted))]) / std_turns
-    prior = np.array([[0.0, 1.0 / REPORT_DELAY_S, 0.0]])
-    design, wanted = np.vstack([rows, prior]), np.r_[counted / std_turns, 0.0]
+    shifts = [per_s, per_s * place, per_s * place**2]
+    rows = np.column_stack([by_reports, *shifts, np.ones(len(counted))]) / std_turns
+    prior = np.diag([0.0, 1.0 / REPORT_DELAY_S, 1.0 / drift_s, 1.0 / drift_s, 0.0])[1:4]
+    design, wanted = np.vstack([rows, prior]), np.r_[counted / std_turns, np.zeros(3)]
     inverse: Array = np.asarray(np.linalg.pinv(design), np.float64)
     found = inverse @ wanted
     excess = float(np.sum((design @ found - wanted) ** 2)) / max(1, len(counted) - 2)

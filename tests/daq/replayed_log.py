@@ -45,14 +45,15 @@ def _laser(rng: np.random.Generator, step: int, lost: set[int], restarts_at: int
 
 
 class _Node:
-    """Encoder blocks, and index marks: one per step, or once per turn of the rotor."""
+    """Encoder blocks, and index marks: one per step with closed locks, or one per turn of a rotor with open locks."""
 
     def __init__(self, marks_turn: bool) -> None:
         self._marks_turn, self._seq, self._turns = marks_turn, 0, 0.0
+        self._flags = 0 if marks_turn else 96  # both locks closed, although A's counts go on
 
     def bytes_of(self, step: int, rpm: float) -> bytes:
         counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
-        data = self._wire(rotorlink.EncoderBlock(1, self._seq, 10 * step, 10_000 * step, 1000, 96, counts))
+        data = self._wire(rotorlink.EncoderBlock(1, self._seq, 10 * step, 10_000 * step, 1000, self._flags, counts))
         if not self._marks_turn:
             return data + self._wire(rotorlink.IndexMark(1, self._seq, 10_000 * step + 9_500, step))
         before, self._turns = self._turns, self._turns + rpm / 60 * 0.01
