@@ -113,7 +113,7 @@ def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
     assert isinstance(axes, PolarAxes)
     axes.set_ylim(0, top)
     axes.set_xticks(np.radians(np.arange(0, 360, 45)))
-    along = np.linspace(0.2, 1.0, 9)
+    along = np.array([radius / top for radius in axes.get_yticks() if 0 < radius <= top])  # of the numbers on the ray
     free = {
         ray: min((float(np.min(np.abs(along * np.exp(1j * np.radians(ray)) - at))) for at in written), default=1.0)
         for ray in _RAYS

@@ -16,7 +16,11 @@ from dynamics.errors import OutsideDomain
 
 YIELDS_AT = 1.6
 """Ratio of peak pressure to yield stress at which the material below the surface yields (circular contact)."""
-_CIRCULAR = 1e-9  # relative difference of the gaps' curvatures below which the contact is a circle
+_NEARLY_CIRCULAR = 1e-3
+"""Relative difference of the gaps' curvatures below which the ratio of the half axes is their ratio to the power −2/3.
+
+The error of that power grows with the third power of the difference; it is 3e-12 at this limit.
+"""
 
 
 @dataclass(frozen=True)
@@ -109,8 +113,8 @@ def _axes_ratio(curvatures: float) -> float:
         k, e = float(ellipk(e2)), float(ellipe(e2))
         return math.log((e / ratio**2 - k) / (k - e) / curvatures)
 
-    if curvatures - 1 < _CIRCULAR:
-        return 1.0
+    if curvatures - 1 < _NEARLY_CIRCULAR:
+        return curvatures ** (-2 / 3)
     return math.exp(float(scipy.optimize.brentq(off, -12.0, -1e-6, xtol=1e-13)))
 
 

@@ -101,7 +101,7 @@ def test_friction_as_a_cause_is_not_below_zero(sign: float) -> None:
     friction = Cause(
         "friction.a_Nm",
         "dry friction of pendulum A",
-        math.nan,
+        0.0,
         1.0,
         direction,
         "% of c3 · 12 rad/s",
