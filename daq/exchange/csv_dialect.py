@@ -121,7 +121,7 @@ class DecimalEvidence:
         self._grouped = _GROUPED[dialect.decimal]
         self._without: set[str] = set()
         self._with: dict[str, tuple[int, str]] = {}
-        self.is_shown = dialect.stated or dialect.delimiter == ","
+        self.is_shown: bool = dialect.stated or dialect.delimiter == ","
 
     def add(self, column: str, cells: Sequence[str], lines: Sequence[int]) -> None:
         """Add cells of a column with their lines; texts that are not numbers are passed over."""

@@ -208,7 +208,7 @@ class HandRotor:
     """
 
     ramp_rpm_per_s = HAND_RAMP_RPM_S
-    reported_rpm = math.nan
+    reported_rpm: float = math.nan
 
     def __init__(self, session: Session, operator: Operator, progress: Progress) -> None:
         self._s, self._operator, self._progress = session, operator, progress

@@ -659,6 +659,7 @@ def test_validation_in_json_is_empty_without_points() -> None:
         "explanations": None,
         "noticed": [],
         "start_ups": [],
+        "filled": {},
     }
 
 
