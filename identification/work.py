@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
-from identification.errors import FitFailed
+from identification.errors import OutOfWork
 
 ELEMENT_S = 1e-7
 """Work of one element (row × column) of an evaluated model and its share of the least squares, s.
@@ -36,27 +36,6 @@ Not counted are the start of the command, the reading of the log and of the comp
 
 _QUIET_S = 1.0
 """Work below which attempts are not shown as progress, s: the fit ends before a person has read the line."""
-
-_SHOWN = 2
-"""First and last attempts that a message names, each."""
-
-
-class OutOfWork(FitFailed):
-    """A fit was ended by its bound of work.
-
-    Attributes:
-        tried: descriptions of the attempts, in their order.
-    """
-
-    def __init__(self, what: str, limit_s: float, tried: tuple[str, ...]) -> None:
-        between = len(tried) - 2 * _SHOWN
-        shown = tried if between <= 0 else (*tried[:_SHOWN], f"{between} more", *tried[-_SHOWN:])
-        super().__init__(
-            f"{what}: ended without an answer after the work of {limit_s:g} s of processor. Tried: "
-            f"{'; '.join(shown) or 'the first attempt was not complete'}. Either the motion is not the one that the "
-            "model describes, or the record is too long: plot it, and give the part that the test is about"
-        )
-        self.tried = tried
 
 
 class _LimitReached(Exception):

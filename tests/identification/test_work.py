@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.errors import FitFailed, IdentificationError
+from identification.errors import FitFailed, IdentificationError, OutOfWork
 from identification.least_squares import minimise
-from identification.work import ELEMENT_S, OutOfWork, bounded_work, spend, tried
+from identification.work import ELEMENT_S, bounded_work, spend, tried
 from rig_basics.arrays import Array
 
 ROWS = 50
