@@ -425,7 +425,7 @@ def test_the_judge_sees_early_times_of_a_wire_that_carries_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = ClockMap.map
-    monkeypatch.setattr(ClockMap, "map", lambda self, device_ns, host_ns: plain(self, device_ns, host_ns) - 5_000_000)
+    monkeypatch.setattr(ClockMap, "map", lambda *given, **more: plain(*given, **more) - 5_000_000)
     found = run("other_devices", Schedule(3, 300.0, 6.0, STEP_S, ()), tmp_path)
     assert any(text.startswith("laser/x: times are -") for text in found.wrong)
 

@@ -71,8 +71,8 @@ def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_pa
     assert "pendulum damping c3 = c4, N m s/rad" in text
 
 
-def test_a_store_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for points in (3, 4):
+def test_a_store_is_replaced_if_that_is_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for points, force in ((3, []), (4, ["--force"])):
         arguments = [
             "--x",
             f"speed_ratio=2:6:{points}",
@@ -80,6 +80,7 @@ def test_a_store_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path)
             "stiffness_ratio=4:12:2",
             "-o",
             str(tmp_path / "m.zarr"),
+            *force,
         ]
         assert run_rig(capsys, "map", "virtual", *arguments)[0] == 0
         assert load_map(tmp_path / "m.zarr").grid["multiplier_max"].shape == (2, points)
