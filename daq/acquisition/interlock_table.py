@@ -143,8 +143,8 @@ def _displacement_rows() -> Iterator[Interlock]:
     yield Interlock(
         "no motion",
         "displacement",
-        f"less than the rig file's unbalance implies: {MOMENT_SHARE:g} of it, less {RUN_OUT_M * 1e6:g} µm; "
-        f"a constant reading: ± {STUCK_M * 1e6:g} µm implied",
+        f"below {MOMENT_SHARE:g} × the unbalance's motion − {RUN_OUT_M * 1e6:g} µm; "
+        f"constant at ± {STUCK_M * 1e6:g} µm of it",
         "rig file, constant",
         f"{WINDOW_S:g} s, {TURNS:g} turn, {BEATS:g} beats",
         role=DisplacementSensor.role,
