@@ -96,7 +96,7 @@ def test_a_calibration_that_is_set_does_not_change_samples_and_is_refused(heavy:
 
 def test_a_sensor_that_the_given_file_lacks_is_a_difference(heavy: Path) -> None:
     name, text = rig_text("virtual")
-    without = text.replace("[devices.encoder]", "[devices.encoder]\nangles = false")
+    without = text.replace("[devices.encoder]", "[devices.encoder]\nangles = false\nlocks = false")
     assert rig_from_text(name, without).roles.angles is None
     with pytest.raises(RigFileError, match=r"pendulums: no such sensor in .*, a sensor in heavy\.mcap"):
         rig_of_logs([heavy], IDENTIFIES, (name, without), settings=["rotor.mass_kg=9"])
