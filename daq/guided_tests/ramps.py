@@ -87,7 +87,8 @@ def _down(request: GuidedTestRequest) -> StateTable:
     top, duration = request.numbers["top_rpm"], request.numbers["duration_s"]
 
     def slow(view: StateView) -> StateObservation:
-        return StateObservation(view.rpm < _MIN_SPEED_SHARE * top, _words(view.rpm), share_of(top - view.rpm, top))
+        rpm = min(speeds_of(view))  # a slow rotor's marks are seconds apart
+        return StateObservation(rpm < _MIN_SPEED_SHARE * top, _words(rpm), share_of(top - rpm, top))
 
     return framed(
         request,
