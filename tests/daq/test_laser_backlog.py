@@ -98,7 +98,7 @@ class StreamingLaser(HandMadeLaser):
 
 @pytest.mark.parametrize("read_every_s", [0.001, 0.02, 0.099, 0.12, 0.15, 0.2])
 @pytest.mark.parametrize("backlog", [0, 4096, 16_384, 65_536])
-def test_a_start_after_a_kill_succeeds_whatever_waits_on_the_line(backlog: int, read_every_s: float) -> None:
+def test_a_start_after_a_kill_succeeds_with_any_backlog_on_the_line(backlog: int, read_every_s: float) -> None:
     sensor = StreamingLaser(backlog, read_every_s)
     identity = sensor.set_up()
     assert identity["serial"] == "12345678"

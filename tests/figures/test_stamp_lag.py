@@ -66,7 +66,7 @@ def test_a_resonance_at_another_speed_is_no_lag() -> None:
     assert not found.is_line
 
 
-def test_a_bode_plot_lies_on_the_model_whatever_the_lag() -> None:
+def test_a_bode_plot_lies_on_the_model_with_any_lag() -> None:
     """The phases of a lag of 12 ms were drawn 60° off at 900 rpm, with an interval of a hundredth of a degree."""
     figures = [draw_bode(late_run_up(lag), MODEL) for lag in (0.0, LAG_S)]
     for panel in (0, 1):

@@ -72,7 +72,7 @@ def test_a_dead_laser_leaves_the_other_s_direction(reading: float, dead: str, wo
     assert any(f"pulled along {dead}, but only laser {works} works" in w for w in found.warnings)
 
 
-def test_a_disk_that_nobody_weighed_exactly_is_within_the_interval() -> None:
+def test_the_error_of_a_mass_without_uncertainty_is_within_the_interval() -> None:
     campaign = Campaign(1, {"virtual.truth.rotor.mass_kg": 7.007})
     rig = campaign.rig.model_copy(update={"rotor": Rotor(mass_kg=7.0)})  # states no uncertainty
     found = identify([campaign.ring_down("x"), campaign.ring_down("y")], rig)

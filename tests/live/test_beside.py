@@ -170,7 +170,7 @@ def test_a_stop_passes_a_page_s_process_that_stands_still(virtual_rig: VirtualRi
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-def test_a_page_whose_stop_has_failed_says_so(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+def test_a_page_whose_stop_has_failed_shows_it(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
     page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
     with page, Session(plugged, virtual_rig.clock) as session:
         page.follow(session, Asking(), session.stop, {})

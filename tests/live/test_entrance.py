@@ -1,4 +1,4 @@
-"""Entrance of the page: STOP arrives whatever other connections do, and they are limited, timed out and counted."""
+"""Entrance of the page: STOP arrives with any other connections, and they are limited, timed out and counted."""
 
 from __future__ import annotations
 

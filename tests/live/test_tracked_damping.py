@@ -39,7 +39,7 @@ def test_locked_pendulums_have_no_damping(flags: int) -> None:
 
 
 @pytest.mark.parametrize("flags", [LOCK_A_CLOSED, 0])
-def test_a_pendulum_beside_a_locked_one_keeps_its_damping(flags: int) -> None:
+def test_a_free_pendulum_with_a_locked_one_keeps_its_damping(flags: int) -> None:
     damping = followed(flags, (False, True))
     rows = damping.between(0.0, SECONDS)
     assert len(rows) > 0

@@ -139,7 +139,7 @@ def test_a_fault_that_cannot_be_is_refused_before_the_first_test(
 
 
 @pytest.mark.parametrize("number", ["0", "-1", "two", ""])
-def test_a_number_of_threads_that_is_none_is_named(
+def test_an_impossible_number_of_threads_is_named(
     number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", number)
