@@ -7,7 +7,7 @@ A press is a POST to /stop on a new connection by a process of its own. With --b
 timed by the browser's input event. The end is the return of `Session.stop`, which has then written the command to the
 drive's port. A press that is not answered within 10 s is counted as lost.
 
-Cases: no viewer; 8 and 16 viewers that answer each frame at 30 frames/s; 16 that flood (as many requests for other views
+Cases: no viewer; 8 and 16 viewers that answer each frame at 30 frames/s; 16 that flood (as many requests for views
 as the connection accepts, each for the longest window, and an answer to each frame); 16 that flood with new requests;
 1 020 connections that send nothing; a client that connects without a pause; a page whose process stands still. Linux
 only: it stops a process.
