@@ -20,7 +20,7 @@ from daq.drivers.checks import Checks, DeviceCheck, at_most, longer
 from daq.drivers.contract import FOREIGN, TimeOut
 from daq.items import DeviceEvent
 from daq.signals.speed_agreement import SpeedAgreement
-from rig_configs.roles import PendulumAngles
+from rig_configs.roles import PendulumAngles, RotorPhase
 from rig_configs.schema import Rig
 
 _MAX_RADIO_LOSS_SHARE = 0.05  # of the samples sent by radio; larger losses make long gaps in the angles
@@ -28,7 +28,8 @@ _MAX_HOST_RATE_ERROR = 0.02  # relative, of a channel without a device clock: th
 _MIN_SPEED_REPORTS_HZ = 10.0  # for the interlocks of the drive's speed
 _MAX_ANGLE_NOISE_COUNTS = 2.0  # rms, in closed locks
 _MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, of what the drive states, and in addition
-_MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at 1200 rpm
+_FAST_HZ = 20.0  # speed for which errors of time are stated as angles
+_MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at that speed
 _CLOCK_S = 5.0  # observation that is necessary for it; a shorter one is less certain
 _STDS = 3.0  # of the bounds of errors
 
@@ -81,6 +82,7 @@ class RigObservation:
         complaints: contradictions between what devices report of themselves and the rig file, by device.
         rotor_rpm: speed of the rotor; NaN if unknown.
         speeds: agreement of drive and index marks; None if they could not be compared.
+        round_trip_s: see `MeasuresRoundTrip`, of the device with the index marks; None if it was not measured.
     """
 
     seconds: float
@@ -99,6 +101,7 @@ class RigObservation:
     by_radio: frozenset[str] = frozenset()
     rotor_rpm: float = math.nan
     speeds: SpeedAgreement | None = None
+    round_trip_s: float | None = None
 
 
 def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
@@ -118,6 +121,8 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
         out[roles.speed.device] |= _speed(look.speed, roles.rest_rpm, look.seconds) | _time_out(look.time_out)
         if roles.phase is not None:
             out[roles.speed.device]["marks_over_drive"] = _speeds(look.speeds)
+    if roles.phase is not None and any((d.clock or d.device) != roles.phase.device for d in roles.displacements):
+        out[roles.phase.device]["delay_ms"] = _delay(roles.phase, look.round_trip_s)
     for name, checks in look.own.items():
         out[name] |= checks
     if roles.angles is not None and roles.locks is not None and look.angles is not None:
@@ -245,6 +250,29 @@ def _clock(std_ns: float, seconds: float) -> Checks:
     }[fine]
     most = f"at most {_MAX_CLOCK_STD_NS * 1e-3:g}"
     return {"clock_std_us": DeviceCheck(round(std_ns * 1e-3, 1), most, fine, note)}
+
+
+def _delay(phase: RotorPhase, round_trip_s: float | None) -> DeviceCheck:
+    """Check by how much the index marks are stamped late, from the round trip of requests.
+
+    The least delay of the way to the host is between 0 and that of the whole way there and back, of which the round
+    trip lacks the stated delay. The displacements' own delay is unknown and not part of it.
+    """
+    most = f"within ± {_MAX_CLOCK_STD_NS * 1e-6:g}"
+    advice = "Every fit and plot leaves the shift against the displacements free"
+    if round_trip_s is None:
+        return DeviceCheck(None, most, None, f"not measured: the device answers no request with its time. {advice}")
+    stated_s = phase.least_delay_s
+    half_s = 0.5 * max(0.0, round_trip_s + stated_s)
+    late_s = half_s - stated_s
+    fine = at_most(abs(late_s), half_s, _MAX_CLOCK_STD_NS * 1e-9)
+    degrees = 360 * _FAST_HZ * max(abs(late_s - half_s), late_s + half_s)
+    note = f"± {1e3 * half_s:.2g}: up to {degrees:.2g}° of the phase at {60 * _FAST_HZ:g} rpm"
+    if fine is False:
+        note = f"{note}. least_delay_s = {stated_s:g} exceeds the whole round trip: correct the rig file"
+    elif fine is None:
+        note = f"{note}. Set least_delay_s in its table from the data sheet of its radio. {advice}"
+    return DeviceCheck(round(1e3 * late_s, 2), most, fine, note)
 
 
 def _time_out(found: TimeOut | str | None) -> Checks:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping
 
@@ -16,7 +17,10 @@ from daq.drivers.contract import MeasuresTimeOut, SendsByRadio, TimeOut
 from daq.drivers.devices import devices_of
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
+from rig_basics.ignoring import ignoring
 from rig_configs.roles import PendulumAngles, Roles, SpeedSource
+
+_log = logging.getLogger(__name__)
 
 _LOCKED_S = 0.1  # duration of the newest pendulum angles that are checked
 _STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report, rig time
@@ -73,6 +77,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         ),
         rotor_rpm=session.rotor_rpm(),
         speeds=recent_agreement(session.recent, roles, started),
+        round_trip_s=None if roles.phase is None else _round_trip(session, roles.phase.device),
     )
 
 
@@ -95,6 +100,15 @@ def _time_out(session: Session, speed: SpeedSource) -> TimeOut | str:
         return drive.measure_time_out()
     except (DeviceError, LinkLost) as error:
         return str(error)
+
+
+def _round_trip(session: Session, device: str) -> float | None:
+    """Measure the round trip of a device; None if it is not open, cannot measure it, or does not answer."""
+    if device in session.unopened:
+        return None
+    with ignoring(_log, "measuring the round trip of a device without a link", LinkLost):
+        return session.measure_round_trip(device)
+    return None
 
 
 def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:

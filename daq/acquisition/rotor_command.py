@@ -34,6 +34,7 @@ class RotorCommand:
         drive: speed source; None if the rig has none.
         drive_name: name of the speed source's device; empty if the rig has none.
         locks: pendulum locks; None if the rig has none that can be commanded.
+        locks_name: name of the locks' device; empty if the rig has none.
     """
 
     def __init__(
@@ -48,12 +49,14 @@ class RotorCommand:
         self.drive: SpeedControl | None = None
         self.drive_name: str = ""
         self.locks: LockControl | None = None
+        self.locks_name: str = ""
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
         for name, device in devices.items():
             if isinstance(device.driver, TurnsRotor):
                 self.drive_name = name
                 self.drive = device.driver.speed_source(device.settings, partial(send, name), clock, guard)
             if isinstance(device.driver, MovesLocks):
+                self.locks_name = name
                 self.locks = device.driver.locks(device.settings, partial(send, name), clock)
 
     def permit(self, rpm: float | None) -> None:

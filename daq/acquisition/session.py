@@ -26,7 +26,7 @@ from daq.acquisition.recorder import DiskState
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session_log import SessionLog, keep
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, SpeedControl, StatesClockError
+from daq.drivers.contract import DescribesItself, MeasuresRoundTrip, SpeedControl, StatesClockError
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError, DeviceError, LinkLost, OperatorStop
 from daq.items import RX, TX, DeviceEvent
@@ -630,6 +630,17 @@ class Session:
         self._core.interlocks.counters_set()
         self._command.locks.command(action, self.check)
         self._core.interlocks.counters_set()  # an angle between the two may still be the old one
+
+    def measure_round_trip(self, device: str) -> float | None:
+        """Return the result of `MeasuresRoundTrip`, s; None if a device does not answer or cannot measure it.
+
+        Raises:
+            LinkLost: the connection to the device is lost.
+        """
+        command = self._command
+        if command is None or command.locks_name != device or not isinstance(command.locks, MeasuresRoundTrip):
+            return None
+        return command.locks.measure_round_trip()
 
 
 def _not_at_rest(at_rest: bool | None) -> str:

@@ -510,6 +510,25 @@ class LockControl(Protocol):
 
 
 @runtime_checkable
+class MeasuresRoundTrip(Protocol):
+    """A lock control of a device that answers a request with the time, on its clock, at which the request arrived."""
+
+    def measure_round_trip(self) -> float | None:
+        """Send requests, and compare the times of their arrival on the common clock with those of sending.
+
+        The map of the device's clock lacks the least delay of the way to the host, beyond the stated one. The least
+        difference is therefore the least delay of the whole way, there and back, less the stated one.
+
+        Returns:
+            The least difference, s; None without an answer.
+
+        Raises:
+            LinkLost: the connection to the device is lost.
+        """
+        ...
+
+
+@runtime_checkable
 class TurnsRotor(Protocol):
     """A driver of devices that turn the rotor."""
 

@@ -58,11 +58,13 @@ def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
         assert [each["name"] for each in found["tables"]] == ["displacement_x", "displacement_y", "node", "drive"]
         path = rig_file(tmp_path / "my.toml", "virtual", [each["text"] for each in found["tables"]])
         code = run(["check", str(path), "--seconds", "3", "--set", LATE_BEATS, "--json"])
+    devices_found = json.loads(capsys.readouterr().out)["devices"]
     checks = {
         (device, what): one["verdict"]
-        for device, found in json.loads(capsys.readouterr().out)["devices"].items()
+        for device, found in devices_found.items()
         for what, one in found["checks"].items()
     }
+    assert devices_found["node"]["checks"]["delay_ms"]["value"] > 0.5, "half of the radio's 3 ms there and back"
     failed = {what for what, verdict in checks.items() if verdict == "fail"}
     clocks = {(device, "clock_std_us") for device in ("displacement_x", "displacement_y", "node")}
     assert clocks <= set(checks)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
+from contextlib import suppress
 
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
@@ -12,6 +13,7 @@ from daq.transports.host_clock import HostClock
 
 _DEFAULT_NODE = 1
 _TRIES, _TRY_S, _CHECK_S = 20, 0.15, 0.02  # wall seconds
+_PINGS, _PING_EVERY_S = 20, 0.03  # wall seconds; the least of 20 is near the least delay of a radio with jitter
 _ACCEPTED, _ALREADY = 0, 4
 
 
@@ -56,6 +58,22 @@ class NodeLocks:
             self._unanswered(action)
         raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. {self._advice()}")
 
+    def measure_round_trip(self) -> float | None:
+        """See MeasuresRoundTrip."""
+        sent_ns: dict[int, int] = {}
+        found_ns: list[int] = []
+        for _ in range(_PINGS):
+            self._seq = (self._seq + 1) & 0x7FFF
+            sent_ns[self._seq] = self._clock.now_ns()
+            self._transmit(wire.Ping(self._node, self._seq).pack())
+            deadline = self._clock.wall_s() + _PING_EVERY_S
+            while (left_s := deadline - self._clock.wall_s()) > 0:
+                with suppress(queue.Empty):  # usual: no answer so far
+                    event = self._acknowledges.get(timeout=left_s)
+                    if event.facts.get("ping_seq") in sent_ns:
+                        found_ns.append(event.facts["time_ns"] - sent_ns[event.facts["ping_seq"]])
+        return min(found_ns) * 1e-9 if found_ns else None
+
     def _transmit(self, payload: bytes) -> None:
         """Send a command in the format of the node's dongle."""
         self._send(wire.wire(payload))
@@ -66,7 +84,7 @@ class NodeLocks:
         Raises:
             DeviceError: it is, and the node refuses the command.
         """
-        if event.facts["command_seq"] != self._seq:
+        if event.facts.get("command_seq") != self._seq:  # also a late answer to a ping
             return False
         result = event.facts["result"]
         if result == _ACCEPTED or (result == _ALREADY and action != "zero"):  # for "zero" it means: not locked

@@ -219,10 +219,8 @@ class NodePipeline:
                 return self._index_mark(frame, host_ns)
             case rotorlink.LockEvent():
                 return [self._lock_event(frame, host_ns)]
-            case rotorlink.Acknowledge():
-                result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
-                facts = {"command_seq": frame.command_seq, "result": frame.result}
-                return [DeviceEvent("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)]
+            case rotorlink.Acknowledge() | rotorlink.Pong():
+                return [self._answer(frame, host_ns)]
             case rotorlink.NodeStatus():
                 return [*self._status_events(frame)]
             case _:
@@ -288,6 +286,16 @@ class NodePipeline:
             "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0]),
         }
         return DeviceEvent("lock", self._device, f"pendulum {name} {state}", facts)
+
+    def _answer(self, frame: rotorlink.Acknowledge | rotorlink.Pong, host_ns: int) -> DeviceEvent:
+        if isinstance(frame, rotorlink.Acknowledge):
+            result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
+            facts = {"command_seq": frame.command_seq, "result": frame.result}
+            return DeviceEvent("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)
+        node_us = np.array([self._time.unwrap(frame.received_us) - self._own.shift_us])
+        time_ns = int(self._clock.map(node_us * 1000, host_ns, learn=False)[0])
+        facts = {"ping_seq": frame.ping_seq, "time_ns": time_ns}
+        return DeviceEvent("acknowledge", self._device, f"ping {frame.ping_seq} received", facts)
 
     def _status_events(self, frame: rotorlink.NodeStatus) -> list[DeviceEvent]:
         """Keep the node's status; return its events, with a fault if it contradicts the rig file."""
