@@ -35,6 +35,7 @@ from identification.pendulums.transient import EncoderReadings, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
+from rig_basics.arrays import Array
 from rig_basics.texts import distinct
 from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
@@ -461,16 +462,28 @@ def _readings(run: Run, begin_s: float, block_s: float) -> tuple[EncoderReadings
     return out[0], out[1]
 
 
+def fitted_until(angles: Sequence[tuple[Array, Array]]) -> float:
+    """Return the last instant of a release that is fitted, shortly after both pendulums have come to rest, s.
+
+    The rounding of a pendulum at rest is constant instead of noise.
+
+    Args:
+        angles: times, s, and angles, rad, of each pendulum from the release to the end of the record, shape (n,) each.
+    """
+    begin = last = float(angles[0][0][0])
+    for time_s, angle in angles:
+        tail = angle[time_s > time_s[-1] - 1.0]
+        moving = np.abs(angle - tail.mean()) > 0.03 * np.ptp(angle) + 2 * np.ptp(tail)
+        if np.ptp(tail) > 0.2 * np.ptp(angle):  # it still creeps or swings
+            last = float(time_s[-1])
+        elif moving.any():
+            last = max(last, float(time_s[np.flatnonzero(moving)[-1]]))
+    return min(last + _AFTER_SETTLING_S, begin + _LONGEST_S, *(float(time_s[-1]) for time_s, _ in angles))
+
+
 def _horizons(readings: tuple[EncoderReadings, EncoderReadings]) -> list[float]:
     """Return the last instants of the stretches: 0.5 s, growing by 1.6, up to the rest of both angles, s."""
     blocks = [r.averages for r in readings]
-    begin = last = blocks[0].time_s[0]
-    for channel in blocks:
-        tail = channel.value[channel.time_s > channel.time_s[-1] - 1.0]
-        moving = np.abs(channel.value - tail.mean()) > 0.03 * np.ptp(channel.value) + 2 * np.ptp(tail)
-        if np.ptp(tail) > 0.2 * np.ptp(channel.value):  # it still creeps or swings
-            last = channel.time_s[-1]
-        elif moving.any():
-            last = max(last, channel.time_s[np.flatnonzero(moving)[-1]])
-    end = min(last + _AFTER_SETTLING_S, begin + _LONGEST_S, *(float(c.time_s[-1]) for c in blocks))
+    begin = blocks[0].time_s[0]
+    end = fitted_until([(c.time_s, c.value) for c in blocks])
     return [float(begin + s) for s in 0.5 * 1.6 ** np.arange(10) if s < 0.7 * (end - begin)] + [float(end)]

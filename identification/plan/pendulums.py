@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
@@ -18,6 +19,8 @@ from dynamics.motions.integrate import fastest_rate, integrate, locked_state
 from identification.estimate import Estimate
 from identification.methods import Method
 from identification.pendulums.frictional_motion import frictional_motion
+from identification.pendulums.push import TIME_CONSTANTS
+from identification.pendulums.release_problem import fitted_until
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives, friction_columns
 from identification.plan.sensors import SensorProperties
@@ -31,7 +34,6 @@ _PRIOR_STD: Array = np.array([1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
 _DISK_STD_M = 3e-4  # standard deviation of the disk's displacement after a flick
 _LOCKED_STD_M = 2e-5  # standard deviation of the disk's deviation from its locked orbit
 _LOCKED_RAD: Array = np.radians([0.1, 179.85])  # a lock has play; at exactly 0° and 180° a pendulum may stay at rest
-_AT_REST, _AFTER_REST_S = 0.03, 0.5  # share of its travel within which a pendulum is at rest; time used after that
 _HAND_S = 0.05  # time after a flick in which the hand still touches the pendulum
 _SPIN_DOWN_PHASE_RAD = 0.7  # rotor phase of a spin-down: between the axes, where both directions move
 
@@ -45,12 +47,12 @@ def spin_down(
         physics: nominal parameters.
         sensors: sensor properties.
         speed_rad_s: speed of the pendulums right after the flick, rad/s.
-        record_s: length after the flicks, s. Samples after 4.5 time constants are not used, because the quantisation of
-            a pendulum at rest is not white noise.
+        record_s: length after the flicks, s. Samples of a pendulum after 4.5 of its time constants are not used, as in
+            the fit, because the quantisation of a pendulum at rest is not white noise.
         test: name of the test.
     """
-    slowest = min(p.damping_Nms_per_rad / p.inertia_kg_m2 for p in (physics.a, physics.b))
-    used = min(record_s, 4.5 / slowest)
+    moving_s = [TIME_CONSTANTS * p.inertia_kg_m2 / p.damping_Nms_per_rad for p in (physics.a, physics.b)]
+    used = min(record_s, max(moving_s))
     begin = [
         speed_rad_s * float(np.exp(-p.damping_Nms_per_rad / p.inertia_kg_m2 * _HAND_S)) for p in (physics.a, physics.b)
     ]
@@ -71,7 +73,7 @@ def spin_down(
     prior[11:] = _PRIOR_STD[:4]
     settings = {"flick_rad_per_s": speed_rad_s, "record_s": record_s}
     friction = _spin_down_friction(physics, grid[1:], begin)
-    model = _Model(angles, theta, difference, prior, friction)
+    model = _Model(angles, theta, difference, prior, friction, np.concatenate([grid[1:] <= s for s in moving_s]))
     return _experiment(test, "spin-down", physics, sensors, model, settings, record_s, used)
 
 
@@ -124,7 +126,7 @@ def release(
     ]
     settings = {"speed_rpm": speed_rad_s * TO_RPM, "record_s": record_s}
     friction = _release_friction(physics, state, grid, step, history)
-    model = _Model(angles, theta, difference, prior, friction)
+    model = _Model(angles, theta, difference, prior, friction, np.full(len(friction), True))
     return _experiment(test, "release", physics, sensors, model, settings, record_s, float(grid[-1]) + _INSTANT_S)
 
 
@@ -138,6 +140,7 @@ class _Model:
         difference: half-widths of the differences, shape (p,).
         prior: prior standard deviations, shape (p,).
         friction: derivatives of the angles by unknown friction, shape (n, k).
+        used: whether the fit uses each angle, shape (n,).
     """
 
     angles: Callable[[Array], Array]
@@ -145,6 +148,7 @@ class _Model:
     difference: Array
     prior: Array
     friction: Array
+    used: NDArray[np.bool_]
 
 
 def _experiment(
@@ -157,7 +161,7 @@ def _experiment(
     record_s: float,
     used_s: float,
 ) -> Experiment:
-    jacobian = np.hstack([derivatives(model.angles, model.theta, model.difference), model.friction])
+    jacobian = np.hstack([derivatives(model.angles, model.theta, model.difference), model.friction])[model.used]
     prior = np.r_[model.prior, np.full(model.friction.shape[1], np.inf)]
     weight = np.sqrt(sensors.encoder_rate_Hz * _INSTANT_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
@@ -184,11 +188,9 @@ def _spin_down_friction(physics: RotorParameters, time_s: Array, speed_rad_s: li
 
 
 def _moving(state: Array, grid: Array, step: float, history: SpeedHistory, physics: RotorParameters) -> Array:
-    """Return the instants up to the rest of both pendulums; the rounding of a pendulum at rest is no white noise."""
+    """Return the instants that the fit uses."""
     angle = integrate(state, grid, step, history.knots_s, history.coefficients, physics.packed(), 1.0, 1.0)[:, 2:4]
-    off = np.abs(angle - angle[-1]) > _AT_REST * np.ptp(angle, axis=0)
-    last = int(np.flatnonzero(off.any(axis=1))[-1]) if off.any() else len(grid)
-    return grid[: last + round(_AFTER_REST_S / _INSTANT_S)]
+    return grid[grid <= fitted_until([(grid, each) for each in angle.T])]
 
 
 def _release_friction(physics: RotorParameters, start: Array, grid: Array, step: float, history: SpeedHistory) -> Array:
