@@ -7,7 +7,7 @@ stand-ins for playing, `BothWays` the filter of the latter. Source: LAWICEL CAN2
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Container
+from collections.abc import Container, Iterable
 
 from daq.channels import RX
 from daq.clock import NEWEST_RULES
@@ -22,6 +22,7 @@ _LINE_ENDS = b"\r\x07"
 _AGAIN_NS = 1_000_000_000
 _KEPT_FRAMES = 64  # sent frames with which a received command is compared
 _FIRST_CONTACT_RULES = 10  # of a log, since which the first message of a node is no restart
+_HEARTBEATS, _BOOT_UP = 0x700, b"\x00"  # identifiers of CANopen heartbeats, and the first one of a node
 _MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
 
 
@@ -166,10 +167,13 @@ class Adapter:
 
     Attributes:
         open: whether the host has opened the bus; otherwise no frame is sent to the host.
+        repeated: boot-up messages of CANopen nodes without acknowledgement, by identifier. A node repeats its first
+            message until another node, here the adapter, is on the bus.
     """
 
     def __init__(self) -> None:
         self.open: bool = False
+        self.repeated: dict[int, slcan.CanFrame] = {}
         self._lines = slcan.LineDecoder(of_host=True)
 
     def receive(self, data: bytes) -> tuple[list[slcan.CanFrame], bytes]:
@@ -183,6 +187,15 @@ class Adapter:
         for frame in found.frames:
             answers += b"Z\r" if frame.extended else b"z\r"
         return found.frames, answers
+
+    def pass_on(self, frames: Iterable[slcan.CanFrame]) -> bytes:
+        """Return the text for the host of frames that nodes send; without an open bus keep boot-up messages."""
+        if self.open:
+            waiting, self.repeated = self.repeated, {}
+            return b"".join(slcan.encode(frame) for frame in (*waiting.values(), *frames))
+        boot_ups = (frame for frame in frames if frame.arbitration_id & ~0x7F == _HEARTBEATS and frame.data == _BOOT_UP)
+        self.repeated |= {frame.arbitration_id: frame for frame in boot_ups}
+        return b""
 
 
 class BothWays:

@@ -41,7 +41,7 @@ class Bench:
         self.stops: list[tuple[float, Stop]] = []
         self.events: list[DeviceEvent] = []
         self.muted: set[str] = set()
-        self._hear("drive", self.drive.receive(b"O\r", 0.0))
+        self.drive.receive(b"O\r", 0.0)  # the adapter was opened before: its answer and the boot-up message are old
         for laser in ("laser_x", "laser_y"):
             self.far.far_ends[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n", 0.0)
         self.drive._objects[cia301.PRODUCER_HEARTBEAT, 0] = (100, "<H")

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import pytest
 
+from daq.acquisition.session import Session
 from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
+from daq.lockstep.rig import LockstepRig
+from rig_configs import load_rig
 from tests.daq import (
     test_cia402_limits as drive,
     test_cia406 as encoders,
@@ -26,6 +29,28 @@ OPENING = open_bus(500_000)
 MS = 1_000_000
 NODE = drive.NODE
 BEFORE = 9  # rules of earlier logs
+
+
+@pytest.mark.parametrize(("rig_name", "device"), [("virtual", "drive"), ("ethernet_lasers", "angle_bus")])
+def test_the_first_session_with_a_rig_that_was_just_powered_is_as_the_second(rig_name: str, device: str) -> None:
+    """The simulated bus repeats the boot-up message until the adapter is open, as a real one does."""
+    sim, told = LockstepRig(load_rig(rig_name)), list[list[DeviceEvent]]()
+    for _ in range(2):
+        session = Session(load_rig(rig_name, settings=sim.port_settings()), sim.clock, edge=sim.edge)
+        told.append([])
+        session.device_event_observers.append(told[-1].append)
+        with session:
+            session.drive.enable()
+            session.drive.set_speed(60.0)
+            sim.clock.sleep(3.0)
+            assert session.rotor_rpm() == pytest.approx(60.0, abs=3.0)
+            assert len(session.recent.last("motor", (), 0)[0]) > 100
+            assert len(session.recent.last("pendulums", (), 0)[0]) > 500
+    first, second = ([e.text for e in events if e.device == device and "boot-up" in e.text] for events in told)
+    assert first
+    assert all("had started before the bus was opened" in text for text in first)
+    assert not second
+    assert not [event for events in told for event in events if event.kind in ("restart", "fault")]
 
 
 class JustPowered(MappedDrive):

@@ -106,6 +106,7 @@ class SimulatedDrive(FarEnd):
         }
         self._sdo = SdoServer(self._objects, measured, self._written)
         self._out: list[slcan.CanFrame] = []
+        self._restart()
 
     def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
@@ -163,6 +164,7 @@ class SimulatedDrive(FarEnd):
         Without supply the torque is 0. After power-up the objects have their initial values.
         """
         self._without_supply = not on
+        self._adapter.repeated.clear()
         if on:
             self._objects.update(self._initial_objects())
             self._restart()
@@ -204,10 +206,8 @@ class SimulatedDrive(FarEnd):
 
     def _take(self) -> bytes:
         frames, self._out = self._out, []
-        if not self._adapter.open:
-            return b""
-        self.frames_sent += len(frames)
-        return b"".join(slcan.encode(f) for f in frames)
+        self.frames_sent += len(frames) * self._adapter.open
+        return self._adapter.pass_on(frames)
 
     def _frame(self, frame: slcan.CanFrame, now_s: float) -> None:
         identifier, data = frame.arbitration_id, frame.data

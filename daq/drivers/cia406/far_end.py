@@ -69,8 +69,8 @@ class SimulatedEncoder:
         self._position = 0
         self.start()
 
-    def start(self, *, announce: bool = False) -> None:
-        """Begin with the settings as delivered; `announce` it by the boot-up message."""
+    def start(self) -> None:
+        """Begin with the settings as delivered, and the boot-up message."""
         per_turn = self._settings.counts_per_revolution
         self._sdo = SdoServer(
             encoder_objects(self.node, self._serial, per_turn, per_turn * TURNS, 0x4),
@@ -82,8 +82,7 @@ class SimulatedEncoder:
         self._sync_count = 0
         self._next: int | None = None
         self._syncs = 0
-        if announce:
-            self.out.append(slcan.CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
+        self.out.append(slcan.CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
 
     @property
     def objects(self) -> dict[tuple[int, int], tuple[int, str]]:
@@ -253,7 +252,7 @@ class SimulatedEncoders(FarEnd):
         frames = [frame for encoder in self.encoders for frame in encoder.out]
         for encoder in self.encoders:
             encoder.out.clear()
-        return b"".join(slcan.encode(frame) for frame in frames) if self._adapter.open else b""
+        return self._adapter.pass_on(frames)
 
     def step(self, now_s: float) -> bytes:
         """See FarEnd: heartbeats that are due."""
@@ -283,7 +282,7 @@ class SimulatedEncoders(FarEnd):
                 for place, encoder in enumerate(self.encoders, 1):
                     setattr(encoder, what, place == number)
             case "restart":
-                self._of_number(number).start(announce=True)
+                self._of_number(number).start()
             case "stopped":
                 encoder = self._of_number(number)
                 encoder.take(slcan.CanFrame(0, bytes((2, encoder.node))))
@@ -304,6 +303,7 @@ class SimulatedEncoders(FarEnd):
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the encoders; the adapter is supplied by the host and continues."""
         self._without_supply = not on
+        self._adapter.repeated.clear()
         if on:
             for encoder in self.encoders:
-                encoder.start(announce=True)
+                encoder.start()
