@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -33,7 +33,7 @@ _BIN_NS = 250_000_000
 _BINS = 120
 _EDGE_READS = 3  # spacings of the least lags of a bin that are averaged: more would leave the edge
 _EDGE_STDS = 3.0  # of the spacing, of which the first delay has one; the weights make the line look more certain
-_EDGE_DOUBT = 2.5  # spacings by which the least of delays that are sums of two waits lies above their bound
+_EDGE_DOUBT = 4.1  # spacings by which the least of delays that are sums of three waits lies above their bound
 _BINS_BESIDE = 5  # bins over which spacings are averaged
 _LEAST_SPACING_S = 1e-6  # resolution of a host's time stamps
 _LINE_ROUNDS = 4  # after which the weights have settled
@@ -407,8 +407,8 @@ def fit_line(
     with the samples, the least age is close to 0. If reads are synchronous (a whole number of periods apart: a bus that
     is polled every millisecond, a sensor of 4 kHz), the age is constant until the clocks have drifted apart by one
     period. The lags are then a staircase, and a record within one step does not show the drift. The uncertainty of the
-    rate is therefore at least one period over the length of the record, unless the lags follow a straight line over
-    more than one period.
+    rate is therefore at least half of the error that a step of one period in its middle makes (1.5 periods over the
+    length of a record with equal bins), unless the lags follow a straight line over more than one period.
 
     On a loaded host few reads are in time, and the load may grow or fall in the record. The least lag of each bin then
     lies above the bound of the delay by about the spacing of the least lags of the bin. It is corrected by this spacing
@@ -436,11 +436,11 @@ def fit_line(
     jitter = float(np.mean(y - constant - slope * x))
     level: NDArray[np.floating] = lag - slope * device_s
     early_s = _edge_spacings([level[group] for group in groups], jitter)
-    slope, slope_std, distance = _weighted_line(x, y - early_s, early_s)
-    slope_std = np.hypot(slope_std, _EDGE_DOUBT * (slope - _weighted_line(x, y, early_s)[0]))
-    straight = abs(slope) * span > step_s and distance < _MAX_STRAIGHT_JITTER * step_s
-    hidden_s = 0.0 if straight else step_s
-    own = np.hypot(slope_std, hidden_s / np.sqrt(3.0) / span)
+    line = _weighted_line(x, y - early_s, early_s)
+    slope = line.slope
+    slope_std = np.hypot(line.slope_std, _EDGE_DOUBT * (slope - _weighted_line(x, y, early_s).slope))
+    straight = abs(slope) * span > step_s and line.distance < _MAX_STRAIGHT_JITTER * step_s
+    own = np.hypot(slope_std, 0.0 if straight else 0.5 * step_s * line.by_step)
     weight = prior**2 / (prior**2 + own**2)
     rate = slope * weight
     offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])
@@ -467,16 +467,26 @@ def _edge_spacings(bins: list[NDArray[np.floating]], sparse_s: float) -> NDArray
     return np.convolve(spacings, beside, "same") / np.convolve(np.ones(len(bins)), beside, "same")
 
 
-def _weighted_line(
-    x: NDArray[np.floating], y: NDArray[np.floating], spacing: NDArray[np.floating]
-) -> tuple[float, float, float]:
+class _WeightedLine(NamedTuple):
+    """Line through the least lags of the bins.
+
+    Attributes:
+        slope, slope_std: slope and its standard deviation.
+        distance: mean height of the bins above the lowest one, s.
+        by_step: slope of the line by a step of the lags by 1 s at its middle, 1/s: the largest error for one.
+    """
+
+    slope: float
+    slope_std: float
+    distance: float
+    by_step: float
+
+
+def _weighted_line(x: NDArray[np.floating], y: NDArray[np.floating], spacing: NDArray[np.floating]) -> _WeightedLine:
     """Fit the lower edge of lags whose bins are late by different amounts, as on a host whose load changes.
 
     A bin has the uncertainty of `_EDGE_STDS` spacings, and at least its own height above the line: what delays all of
     its reads leaves no spacing. The first line is the lower edge of all.
-
-    Returns:
-        Slope, its standard deviation, and the mean height of the bins above the lowest one, s.
     """
     constant, slope = lower_line(x, y)
     std = np.zeros(len(x))
@@ -492,7 +502,9 @@ def _weighted_line(
     spread = np.hypot(_EDGE_STDS * spacing, _LEAST_SPACING_S)
     above = y - slope * x
     distance = float(np.average(above - np.min(above), weights=spread**-2.0))
-    return slope, float(np.sum(weight * (x - middle) ** 2) ** -0.5), distance
+    moment = float(np.sum(weight * (x - middle) ** 2))
+    by_step = 0.5 * float(np.sum(weight * np.abs(x - middle))) / moment
+    return _WeightedLine(slope, moment**-0.5, distance, by_step)
 
 
 def _starts(bins: NDArray[np.int_]) -> NDArray[np.intp]:

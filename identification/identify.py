@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.signals.completeness import missing_warnings
 from daq.signals.phase_noise import phase_remarks
-from daq.signals.run import Run
+from daq.signals.run import Run, disagreements
 from daq.signals.threads import on_one_thread
 from daq.signals.witnesses import WitnessAgreement
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
@@ -247,12 +247,7 @@ def identify(
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += [*assumed_remarks(rig.known.assumed), *missing_warnings(runs)]
-    compared = [(run, agreement) for run in given for agreement in run.agreements()]
-    work.warnings += [
-        f"{Path(r.source).name}: {a.text}"
-        for r, a in compared
-        if any(r is run for run in runs) and a.verdict == "disagree"
-    ]
+    work.warnings += [f"{Path(run.source).name}: {each}" for run in runs for each in disagreements(run)]
     work.warnings += [
         f"{Path(run.source).name}: {remark}" for run in runs for remark in phase_remarks(run, turns(run.test))
     ]
@@ -276,7 +271,7 @@ def identify(
     work.warnings += _left_out(work.left_out)
     if not work.estimates:
         raise NotIdentifiable("no run gave any parameter: " + ("; ".join(work.warnings) or "there are no known tests"))
-    return replace(_finished(given, work), witnesses=[agreement for _, agreement in compared])
+    return replace(_finished(given, work), witnesses=[agreement for run in given for agreement in run.agreements()])
 
 
 def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:

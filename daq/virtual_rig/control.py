@@ -75,7 +75,9 @@ class ControlServer:
                     stream.write(b'{"error": "expected one JSON object a line"}\n')
                     stream.flush()
                     return
-                allowed = allowed or hmac.compare_digest(str(request.get("token", "")), self._token)
+                allowed = allowed or hmac.compare_digest(
+                    str(request.get("token", "")).encode(errors="replace"), self._token.encode()
+                )
                 if not allowed:
                     stream.write(b'{"error": "expected the token the rig printed"}\n')
                     stream.flush()
@@ -109,7 +111,7 @@ class ControlServer:
 def _json_object(line: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(line)
-    except ValueError:  # usual: not JSON, which the peer gets as an error
+    except (ValueError, RecursionError):  # usual: not JSON, which the peer gets as an error
         return None
     return cast("dict[str, Any]", value) if isinstance(value, dict) else None
 

@@ -282,9 +282,9 @@ def test_a_line_without_jitter_has_the_rate_and_the_offset_of_the_record() -> No
 
 
 def test_a_record_within_one_sample_period_determines_the_rate_to_that_period() -> None:
-    """A period of 10 ms over 100 s is 100 ppm; uniformly distributed, its deviation is 100/√3 ppm."""
+    """A period of 10 ms over 100 s is 100 ppm; a step in the middle turns the line of 21 bins by 110/77 of it."""
     device_s, host_s = record(100.0, 2e-5)
-    own, prior = 1e-4 / math.sqrt(3), 5e-5
+    own, prior = 0.5 * 110 / 77 * 1e-4, 5e-5
     line = fit_line(device_s, host_s, 50.0, step_s=0.01)
     weight = prior**2 / (prior**2 + own**2)
     assert line.rate_std == pytest.approx((prior**-2 + own**-2) ** -0.5, rel=1e-4)

@@ -10,6 +10,8 @@ from daq.errors import ProcedureError
 from daq.guided_tests.runner import NotReached
 from daq.lockstep import Rehearsal
 from daq.signals.run import disagreements, load_run
+from identification import NotIdentifiable, identify
+from rig_configs import load_rig
 from tests.effort import thorough
 
 
@@ -53,6 +55,11 @@ def test_a_run_up_is_judged_by_the_index_marks(ratio: float, tmp_path: Path) -> 
     assert run.speed is not None
     assert run.speed.ratio == pytest.approx(ratio, abs=2e-3)
     assert disagreements(run) == [run.speed.words] != [""]
+    try:  # such a short run-up may determine nothing
+        words = "; ".join(identify([run], load_rig("virtual")).warnings)
+    except NotIdentifiable as error:
+        words = str(error)
+    assert run.speed.words in words
 
 
 def test_an_honest_drive_passes(tmp_path: Path) -> None:

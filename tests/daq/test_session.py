@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -204,6 +205,10 @@ def test_the_control_port_requires_its_token(virtual_rig: VirtualRigProcess) -> 
     with pytest.raises(ValueError, match="token"):
         intruder.ask("truth")
     intruder.close()
+    for line, answer in ((b'{"token": "\xc3\xa9"}', "token"), (b"[" * 60_000, "one JSON object")):
+        with socket.create_connection(virtual_rig.line._socket.getpeername(), timeout=5) as other:
+            other.sendall(line + b"\n")
+            assert answer in other.makefile().readline()
     assert set(virtual_rig.line.ask("truth")["truth"]) == {
         "k1_N_per_m",
         "k2_N_per_m",

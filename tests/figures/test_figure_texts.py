@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -86,6 +87,14 @@ def _history() -> Figure:
     single = [v for name in names for v in _values(name, 0.02)]
     changes = [Value("k1_N_per_m", joint[2].time, 0.0, 0.0, "+1.2 %")]
     return draw_parameter_history(joint, single, changes, dict.fromkeys(names, "N/m"), "virtual")
+
+
+def test_a_history_of_one_file_has_a_day_around_it() -> None:
+    (value, *_) = _values("k1_N_per_m", 0.004)
+    drawn = draw_parameter_history([value], [], [], {"k1_N_per_m": "N/m"}, "virtual")
+    drawn.savefig(io.BytesIO())  # warnings are errors
+    low, high = drawn.axes[0].get_xlim()
+    assert high - low == pytest.approx(1.0)
 
 
 def _residuals() -> Figure:

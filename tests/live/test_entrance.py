@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import resource
 import socket
 import threading
 import time
@@ -180,6 +179,7 @@ def test_idle_connections_and_slow_requests_are_timed_out(served: Served, monkey
 
 def test_a_stop_passes_when_no_file_is_left(served: Served) -> None:
     """The clients of the test are in this process too: the limit is set once they are connected."""
+    resource = pytest.importorskip("resource", reason="limits of files need POSIX")
     assert _ask(served, _request(served))[0] == 200
     with _idle(served, 20), _connected(served) as line:
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -114,7 +114,7 @@ class SimulatedEncoder:
             return
         command = self._nmt.follow(frame)
         if command in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            self.start(announce=True)
+            self.start()
         elif frame.arbitration_id == 0x600 + self.node and len(frame.data) == 8:
             self.out.append(slcan.CanFrame(0x580 + self.node, self._sdo.answer(frame.data)))
         elif frame.arbitration_id == self.objects[0x1005, 0][0] & 0x7FF:
