@@ -12,6 +12,7 @@ import numpy as np
 
 from daq.signals.completeness import missing_warnings
 from daq.signals.phase_noise import phase_remarks
+from daq.signals.rotor_doubts import encoder_jumps
 from daq.signals.run import Run, disagreements
 from daq.signals.threads import on_one_thread
 from daq.signals.witnesses import WitnessAgreement
@@ -251,6 +252,8 @@ def identify(
     work.warnings += [
         f"{Path(run.source).name}: {remark}" for run in runs for remark in phase_remarks(run, turns(run.test))
     ]
+    jumps = [(run, jump) for run in runs for jump in encoder_jumps(run.angle_time_s, run.angle_rad)]
+    work.warnings += [f"{Path(run.source).name}: {jump.words}" for run, jump in jumps]
     work.warnings += skipped_tests(runs)
     plucked = runs_for("ring-down", runs)
     work.warnings += [f"{Path(run.source).name}: {each.sentence}" for run in plucked for each in loose_locks(run)]

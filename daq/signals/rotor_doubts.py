@@ -13,7 +13,18 @@ from daq.log import Log
 from daq.signals.run_clocks import since_start
 from rig_basics.arrays import Array
 
-Kind = Literal["doubled marks", "missing turns", "time step", "phase jump", "moved pendulum", "other order"]
+Kind = Literal[
+    "doubled marks", "missing turns", "time step", "phase jump", "encoder jump", "moved pendulum", "other order"
+]
+_WORDS: dict[Kind, str] = {
+    "doubled marks": "{count} index marks came twice within {ms:.1f} ms{mended}, the first",
+    "missing turns": "{size:.0f} turns were not counted{mended}",
+    "time step": "the clock of the index marks stepped by {ms:+.1f} ms{mended}",
+    "phase jump": "the phase jumps by {degrees:+.1f}°",
+    "encoder jump": "encoder {pendulum} jumps by {degrees:+.1f}° in one sample (slipped on its shaft, or misread)",
+    "moved pendulum": "pendulum {pendulum} moved by {degrees:+.1f}° in its lock, first",
+    "other order": "the displacement turns at {size:.3f} times the speed of the phase: that of another rotor",
+}
 
 _TURN_RAD = 2 * np.pi
 _WHOLE = 1e-6  # turns, of rounding errors
@@ -21,7 +32,9 @@ _PLAY_RAD = np.radians(1.0)  # of a closed lock, as in daq.acquisition.lock_posi
 _FIRST_S = 1.0  # of a record, whose angles are those of the locks
 _WRAPPED_RAD = 2.2 * np.pi  # range of a phase that is known within a turn only
 _LEAST_JUMP_RAD = 0.1
+_LEAST_ENCODER_JUMP_RAD = 0.05  # in one sample of 1 ms: a change of speed by 50 rad/s; a hand's flick has 0.2
 _BESIDE = 2  # steps of a phase before and after a step, whose median speed is that without a jump
+_GAP_STEPS = 1.5  # steps of the samples; over a gap a flick changes the speed unseen
 _JUMP_SPREADS = 20.0  # median deviations of the steps, which contain the noise of the phase
 _PER_TURN, _MIN_TURNS = 16, 16
 _OF_ROTOR = 0.05  # distance from the order 1, and largest share of the peak, of a response to the rotor itself
@@ -50,25 +63,15 @@ class RotorDoubt:
     @property
     def words(self) -> str:
         """The finding as text."""
-        return f"{self._what} at {self.at_s:.2f} s" if np.isfinite(self.at_s) else self._what
-
-    @property
-    def _what(self) -> str:
-        size = self.size
-        mended = " (corrected)" if self.mended else ""
-        match self.kind:
-            case "doubled marks":
-                return f"{self.count} index marks came twice within {size * 1e3:.1f} ms{mended}, the first"
-            case "missing turns":
-                return f"{size:.0f} turns were not counted{mended}"
-            case "time step":
-                return f"the clock of the index marks stepped by {size * 1e3:+.1f} ms{mended}"
-            case "phase jump":
-                return f"the phase jumps by {np.degrees(size):+.1f}°"
-            case "moved pendulum":
-                return f"pendulum {self.pendulum} moved by {np.degrees(size):+.1f}° in its lock, first"
-            case "other order":
-                return f"the displacement turns at {size:.3f} times the speed of the phase: that of another rotor"
+        words = _WORDS[self.kind].format(
+            size=self.size,
+            ms=1e3 * self.size,
+            degrees=np.degrees(self.size),
+            count=self.count,
+            pendulum=self.pendulum,
+            mended=" (corrected)" if self.mended else "",
+        )
+        return f"{words} at {self.at_s:.2f} s" if np.isfinite(self.at_s) else words
 
 
 def doubts_of_events(log: Log, device: str, start_s: float) -> tuple[RotorDoubt, ...]:
@@ -144,14 +147,31 @@ def phase_jumps(time_s: Array, phase_rad: Array) -> list[RotorDoubt]:
     time, phase = time_s[good], phase_rad[good]
     if len(phase) and np.ptp(phase) < _WRAPPED_RAD:
         phase = np.unwrap(phase)
-    if len(time) < 8 or np.any(np.diff(time) <= 0):
+    return [RotorDoubt("phase jump", size, at_s) for size, at_s in _jumps(time, phase, _LEAST_JUMP_RAD)]
+
+
+def encoder_jumps(time_s: Array, angle_rad: Array) -> list[RotorDoubt]:
+    """Return the jumps of the pendulums' angles between two samples, shapes (n,) and (n, 2), outside of gaps."""
+    found: list[RotorDoubt] = []
+    for name, angle in zip("AB", angle_rad.T, strict=False):
+        good = np.isfinite(angle)
+        for size, at_s in _jumps(time_s[good], angle[good], _LEAST_ENCODER_JUMP_RAD):
+            found.append(RotorDoubt("encoder jump", size, at_s, pendulum=name))
+    return found
+
+
+def _jumps(time_s: Array, phase_rad: Array, least_rad: float) -> list[tuple[float, float]]:
+    """Return size and instant of the steps of a phase that the steps around them contradict, outside of gaps."""
+    passed = np.diff(time_s)
+    if len(time_s) < 8 or np.any(passed <= 0):
         return []
-    speed = np.diff(phase) / np.diff(time)
+    speed = np.diff(phase_rad) / passed
     usual = np.median(np.lib.stride_tricks.sliding_window_view(speed, 2 * _BESIDE + 1), axis=1)
-    jump = (speed[_BESIDE:-_BESIDE] - usual) * np.diff(time)[_BESIDE:-_BESIDE]
-    least = max(_LEAST_JUMP_RAD, _JUMP_SPREADS * float(np.median(np.abs(jump))))
-    found = np.flatnonzero(np.abs(jump) > least)
-    return [RotorDoubt("phase jump", float(jump[i]), float(time[i + _BESIDE + 1])) for i in found.tolist()]
+    inner = slice(_BESIDE, -_BESIDE)
+    jump = (speed[inner] - usual) * passed[inner]
+    least = max(least_rad, _JUMP_SPREADS * float(np.median(np.abs(jump))))
+    found = np.flatnonzero((np.abs(jump) > least) & (passed[inner] < _GAP_STEPS * np.median(passed)))
+    return [(float(jump[i]), float(time_s[i + _BESIDE + 1])) for i in found.tolist()]
 
 
 def moved_pendulums(time_s: Array, angle_rad: Array) -> list[RotorDoubt]:

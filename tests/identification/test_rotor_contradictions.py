@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.signals.rotor_doubts import RotorDoubt, moved_pendulums, phase_jumps, sound_marks
+from daq.signals.rotor_doubts import RotorDoubt, encoder_jumps, moved_pendulums, phase_jumps, sound_marks
 from daq.signals.run import Run
+from identification import identify
 from identification.errors import FitFailed, UnexplainedPassage
 from identification.run_up.contradictions import explained, phase_of
 from identification.run_up.fit import fit_run_up_run
+from rig_configs import load_rig
+from tests.identification.pendulum_world import World
 from tests.identification.test_run_up_passages import Passage, assert_covers, ramp
 
 TURN = 2 * np.pi
@@ -76,6 +79,31 @@ def test_a_turn_that_a_sampled_phase_lost_is_named() -> None:
     assert phase_of(tested)[1] == []
     error = explained(UnexplainedPassage("no convergence"), [], phase_of(tested)[0], [jump])
     assert str(error) == "no convergence. the phase jumps by -360.0° at 12.00 s"
+
+
+@pytest.mark.parametrize("pendulum", [0, 1])
+def test_an_encoder_that_slips_is_named(pendulum: int) -> None:
+    run = World().spin_down(1, (8.0, -8.0))
+    time, angle = run.angle_time_s, run.angle_rad.copy()
+    assert encoder_jumps(time, angle) == []
+    angle[time > time[0] + 0.8, pendulum] += np.radians(5.0)
+    (jump,) = encoder_jumps(time, angle)
+    assert (jump.kind, jump.pendulum) == ("encoder jump", "AB"[pendulum])
+    assert jump.size == pytest.approx(np.radians(5.0), abs=0.01)
+    assert jump.at_s == pytest.approx(time[0] + 0.8, abs=2e-3)
+    found = identify([replace(run, angle_rad=angle)], load_rig("virtual"))  # from the motion after the slip
+    assert any(f"spin-down.mcap: {jump.words}" == warning for warning in found.warnings)
+    for name, value in zip(found.estimates[0].names, found.estimates[0].values, strict=True):
+        assert abs(value - World().physics.identified()[name]) < 3 * found.estimates[0].std[name]
+
+
+def test_a_flick_or_a_gap_is_no_slip() -> None:
+    time = np.arange(0.0, 3.0, 1e-3)
+    speed = np.interp(time, [1.0, 1.02, 1.5], [0.0, 20.0, 5.0])
+    angle = np.column_stack([np.cumsum(speed) * 1e-3, -np.cumsum(speed) * 1e-3])
+    assert encoder_jumps(time, angle) == []
+    kept = np.abs(time - 1.02) > 0.02
+    assert encoder_jumps(time[kept], angle[kept]) == []
 
 
 def test_a_log_of_sound_marks_is_left_alone() -> None:
