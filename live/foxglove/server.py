@@ -14,6 +14,7 @@ import threading
 import uuid
 from collections.abc import Callable, Collection, Mapping, Sequence
 from http import HTTPStatus
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -30,12 +31,24 @@ USUAL_PORT = 8765
 """Default port in Foxglove and Lichtblick."""
 MOST_CLIENTS = 16
 _MAX_MESSAGE_BYTES, _MAX_UNREAD = 64 * 2**10, 4
-_SILENT_S, _CLOSE_S, _END_S = 20.0, 1.0, 5.0
+_HANDSHAKE_S, _SILENT_S, _CLOSE_S, _END_S = 5.0, 20.0, 1.0, 5.0
 _UNSENT_BYTES = 256 * 2**10
 """Send buffer of a connection; by default the system lets it grow to several MB of old messages."""
 _QUIET = logging.getLogger("live.foxglove")
 _QUIET.addHandler(logging.NullHandler())
 _QUIET.propagate = False  # port scanners are not reported to the operator
+
+
+def _not_accepted(loop: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
+    """Keep connections off the operator's terminal for which the process has no file left: they wait until others end.
+
+    The event loop reports each of them, a thousand times a second, and by default prints a traceback.
+    """
+    error = context.get("exception")
+    if isinstance(error, OSError):
+        _QUIET.debug("%s: %s", context.get("message"), error)
+    else:
+        loop.default_exception_handler(dict(context))
 
 
 class FoxgloveServer:
@@ -80,6 +93,7 @@ class FoxgloveServer:
         self._clients: list[Client] = []
         self._left_out = 0
         self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(_not_accepted)
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
 
@@ -131,6 +145,7 @@ class FoxgloveServer:
             compression=None,
             server_header=None,
             logger=_QUIET,
+            open_timeout=_HANDSHAKE_S,
             ping_interval=_SILENT_S,
             ping_timeout=_SILENT_S,
             close_timeout=_CLOSE_S,

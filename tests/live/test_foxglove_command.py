@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
+from live.foxglove.protocol import SUBPROTOCOLS
 from rig_cli.simulated import VirtualRigProcess
 
 RIG = [sys.executable, "-m", "rig_cli.main"]
@@ -102,3 +106,33 @@ def test_what_cannot_be_is_refused_in_words(point_log: Path, options: list[str],
     )
     assert done.returncode == code, done.stderr
     assert why in json.loads(done.stdout.splitlines()[-1])["error"]
+
+
+_FEW_FILES = 96
+_SERVER = f"""
+import resource, sys
+from live.foxglove.server import FoxgloveServer
+resource.setrlimit(resource.RLIMIT_NOFILE, ({_FEW_FILES}, {_FEW_FILES}))
+with FoxgloveServer("rig", [], {{}}, port=0) as server:
+    print(server.url, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of files need POSIX")
+def test_idle_connections_end_and_leave_the_terminal_quiet() -> None:
+    """The page of a session closes them too; here each of them made the event loop print tracebacks."""
+    with (
+        subprocess.Popen([sys.executable, "-c", _SERVER], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as server,
+        ExitStack() as idle,
+    ):
+        assert server.stdout is not None
+        url = server.stdout.readline().strip()
+        address = url.removeprefix("ws://").rsplit(":", 1)
+        for _ in range(_FEW_FILES + 10):  # more than the process has files
+            idle.enter_context(socket.create_connection((address[0], int(address[1])), timeout=5))
+        with connect(url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], open_timeout=30) as client:
+            assert json.loads(client.recv(timeout=5))["op"] == "serverInfo"
+        _, printed = server.communicate("", timeout=20)
+        assert printed == ""
+        assert server.returncode == 0
