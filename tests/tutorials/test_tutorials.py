@@ -13,7 +13,6 @@ from nbclient.exceptions import CellExecutionError
 from tests.tutorials.notebooks import (
     DIGEST,
     FOLDER,
-    ROOT,
     VARIES,
     code_cells,
     complaints_printed,
@@ -74,7 +73,7 @@ def test_it_reads_as_prose_with_figures(path: Path) -> None:
 
 @each
 def test_readers_find_it(path: Path) -> None:
-    assert f"docs/tutorials/{path.name}" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"]({path.name})" in (FOLDER / "index.md").read_text(encoding="utf-8")
 
 
 @each
