@@ -34,11 +34,11 @@ BEFORE = 9  # rules of earlier logs
 @pytest.mark.parametrize(("rig_name", "device"), [("virtual", "drive"), ("ethernet_lasers", "angle_bus")])
 def test_the_first_session_with_a_rig_that_was_just_powered_is_as_the_second(rig_name: str, device: str) -> None:
     """The simulated bus repeats the boot-up message until the adapter is open, as a real one does."""
-    sim, told = LockstepRig(load_rig(rig_name)), list[list[DeviceEvent]]()
+    sim, observed = LockstepRig(load_rig(rig_name)), list[list[DeviceEvent]]()
     for _ in range(2):
         session = Session(load_rig(rig_name, settings=sim.port_settings()), sim.clock, edge=sim.edge)
-        told.append([])
-        session.device_event_observers.append(told[-1].append)
+        observed.append([])
+        session.device_event_observers.append(observed[-1].append)
         with session:
             session.drive.enable()
             session.drive.set_speed(60.0)
@@ -46,11 +46,11 @@ def test_the_first_session_with_a_rig_that_was_just_powered_is_as_the_second(rig
             assert session.rotor_rpm() == pytest.approx(60.0, abs=3.0)
             assert len(session.recent.last("motor", (), 0)[0]) > 100
             assert len(session.recent.last("pendulums", (), 0)[0]) > 500
-    first, second = ([e.text for e in events if e.device == device and "boot-up" in e.text] for events in told)
+    first, second = ([e.text for e in events if e.device == device and "boot-up" in e.text] for events in observed)
     assert first
     assert all("had started before the bus was opened" in text for text in first)
     assert not second
-    assert not [event for events in told for event in events if event.kind in ("restart", "fault")]
+    assert not [event for events in observed for event in events if event.kind in ("restart", "fault")]
 
 
 class JustPowered(MappedDrive):
