@@ -10,7 +10,7 @@ import pytest
 from rig_cli.main import commands
 
 ROOT = Path(__file__).parents[1]
-LONGEST_WORDS = {"README.md": 900}
+LONGEST_WORDS = {"README.md": 900, "CHANGELOG.md": 600}
 PAGES = [ROOT / name for name in LONGEST_WORDS]
 _LINK = re.compile(r"\]\(([^)#]+)(?:#[^)]*)?\)")
 _TARGET = re.compile(r"(?:^|`)make ([a-z-]+)", re.MULTILINE)
@@ -54,3 +54,10 @@ def test_the_first_page_leads_every_role_to_a_page() -> None:
         "an engineer",
     ]
     assert all("](docs/" in row for row in rows)
+
+
+def test_the_changelog_has_the_sections_of_keep_a_changelog() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    kinds = set(re.findall(r"^### (.*)$", text, re.MULTILINE))
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+    assert re.findall(r"^## (?!\d+\.\d+\.\d+ \((?:unreleased|\d{4}-\d\d-\d\d)\)$).*$", text, re.MULTILINE) == []
