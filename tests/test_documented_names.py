@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 NEW_IN_AN_EXAMPLE = {"analysis/figures/radius.py"}  # the file that the how-to makes
 _PACKAGE = "|".join(PACKAGES)
 _NAME = re.compile(rf"(?<![\w./-])((?:{_PACKAGE})(?:\.[A-Za-z_]\w*)+)(?!\.\w|\w)(?<!\.md)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from rig_cli.main import commands
 
 ROOT = Path(__file__).parents[1]
-LONGEST_WORDS = {"README.md": 900, "CHANGELOG.md": 600}
+LONGEST_WORDS = {"README.md": 900, "CHANGELOG.md": 600, "CONTRIBUTING.md": 450, "SECURITY.md": 450}
 PAGES = [ROOT / name for name in LONGEST_WORDS]
 _LINK = re.compile(r"\]\(([^)#]+)(?:#[^)]*)?\)")
 _TARGET = re.compile(r"(?:^|`)make ([a-z-]+)", re.MULTILINE)
@@ -35,6 +36,14 @@ def test_a_page_of_the_root_is_short(page: Path) -> None:
 @each
 def test_what_a_page_of_the_root_names_exists(page: Path) -> None:
     assert missing(page.read_text(encoding="utf-8")) == []
+
+
+@each
+def test_the_source_distribution_contains_what_a_page_links_to(page: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    included = set(project["tool"]["hatch"]["build"]["targets"]["sdist"]["include"])
+    links = [link for link in _LINK.findall(page.read_text(encoding="utf-8")) if "://" not in link]
+    assert {page.name, *(link.split("/")[0] for link in links)} <= included
 
 
 def test_what_does_not_exist_is_found() -> None:
