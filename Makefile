@@ -4,7 +4,10 @@
 # make test-thorough runs the tests with all their cases (hours; the suite of make test runs a part of them).
 # make docs builds the documentation site from the installed wheel into out/docs, with warnings as errors.
 # make platforms resolves the dependencies from wheels alone for Linux, Windows and macOS.
-# After a change of a tutorial's code, make tutorials executes all of them anew and keeps their outputs.
+# make wheel builds the wheel into out/dist and starts the command from it, outside this folder's environment.
+# make campaign checks the numbers and logs of a demo campaign, and runs the examples of README and docs on its files.
+# After a change of a tutorial's code, make tutorials executes all of them again and keeps their outputs.
+# pre-commit calls make format and make layers at a commit, make types at a push (.pre-commit-config.yaml).
 # The uv that wrote uv.lock is used: the one on the PATH if it has that version, else pip puts it into .tools.
 
 UV_VERSION := 0.13.9
@@ -21,7 +24,7 @@ endif
 # compile the project anew, each time.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-thorough tutorials docs platforms setup lint types duplicates clean
+.PHONY: demo test test-thorough tutorials docs platforms wheel campaign setup format lint layers types duplicates clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -49,11 +52,25 @@ platforms: | $(UV_FILE)
 			--all-extras pyproject.toml --output-file out/requirements-$$platform-$$python.txt || exit 1; \
 	done; done
 
-lint: setup
+wheel: | $(UV_FILE)
+	rm -rf out/dist
+	$(UV) build --quiet --out-dir out/dist
+	$(UV) tool run --isolated --from out/dist/*.whl rig --version
+
+campaign: setup
+	.ci/campaign
+
+format: setup
+	$(UV) run --no-sync ruff check --fix .
+	$(UV) run --no-sync ruff format .
+
+lint: layers
 	$(UV) run --no-sync ruff check .
 	$(UV) run --no-sync ruff format --check .
-	$(UV) run --no-sync lint-imports
 	$(MAKE) --jobs 2 types duplicates
+
+layers: setup
+	$(UV) run --no-sync lint-imports
 
 types: setup
 	$(UV) run --no-sync pyright
