@@ -34,7 +34,7 @@ _BINS = 120
 _EDGE_READS = 3  # spacings of the least lags of a bin that are averaged: more would leave the edge
 _EDGE_STDS = 3.0  # of the spacing, of which the first delay has one; the weights make the line look more certain
 _EDGE_DOUBT = 4.1  # spacings by which the least of delays that are sums of three waits lies above their bound
-_BINS_BESIDE = 5  # bins over which spacings are averaged
+_AVERAGED_BINS = 5  # bins over which spacings are averaged
 _LEAST_SPACING_S = 1e-6  # resolution of a host's time stamps
 _LINE_ROUNDS = 4  # after which the weights have settled
 _MAX_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that mapped times increase
@@ -463,8 +463,8 @@ def _edge_spacings(bins: list[NDArray[np.floating]], sparse_s: float) -> NDArray
         if count > 1:
             least = np.partition(lag, count)[: count + 1]
             spacings[i] = float(np.max(least) - np.min(least)) / count
-    beside = np.ones(_BINS_BESIDE)  # else a bin whose spacing is small by chance would have a large weight
-    return np.convolve(spacings, beside, "same") / np.convolve(np.ones(len(bins)), beside, "same")
+    window = np.ones(_AVERAGED_BINS)  # else a bin whose spacing is small by chance would have a large weight
+    return np.convolve(spacings, window, "same") / np.convolve(np.ones(len(bins)), window, "same")
 
 
 class _WeightedLine(NamedTuple):

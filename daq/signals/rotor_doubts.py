@@ -33,7 +33,7 @@ _FIRST_S = 1.0  # of a record, whose angles are those of the locks
 _WRAPPED_RAD = 2.2 * np.pi  # range of a phase that is known within a turn only
 _LEAST_JUMP_RAD = 0.1
 _LEAST_ENCODER_JUMP_RAD = 0.05  # in one sample of 1 ms: a change of speed by 50 rad/s; a hand's flick has 0.2
-_BESIDE = 2  # steps of a phase before and after a step, whose median speed is that without a jump
+_STEPS_EACH_SIDE = 2  # steps of a phase before and after a step, whose median speed is that without a jump
 _GAP_STEPS = 1.5  # steps of the samples; over a gap a flick changes the speed unseen
 _JUMP_SPREADS = 20.0  # median deviations of the steps, which contain the noise of the phase
 _PER_TURN, _MIN_TURNS = 16, 16
@@ -166,12 +166,12 @@ def _jumps(time_s: Array, phase_rad: Array, least_rad: float) -> list[tuple[floa
     if len(time_s) < 8 or np.any(passed <= 0):
         return []
     speed = np.diff(phase_rad) / passed
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(speed, 2 * _BESIDE + 1), axis=1)
-    inner = slice(_BESIDE, -_BESIDE)
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(speed, 2 * _STEPS_EACH_SIDE + 1), axis=1)
+    inner = slice(_STEPS_EACH_SIDE, -_STEPS_EACH_SIDE)
     jump = (speed[inner] - usual) * passed[inner]
     least = max(least_rad, _JUMP_SPREADS * float(np.median(np.abs(jump))))
     found = np.flatnonzero((np.abs(jump) > least) & (passed[inner] < _GAP_STEPS * np.median(passed)))
-    return [(float(jump[i]), float(time_s[i + _BESIDE + 1])) for i in found.tolist()]
+    return [(float(jump[i]), float(time_s[i + _STEPS_EACH_SIDE + 1])) for i in found.tolist()]
 
 
 def moved_pendulums(time_s: Array, angle_rad: Array) -> list[RotorDoubt]:

@@ -31,7 +31,7 @@ from reproduction.results import Claim, Panel, Reproduced, SourceTable, Verdict
 from reproduction.workspace import Workspace, numbers_of
 
 _KINDS = ("I", "II", "III")
-_SAID = {
+_SOURCE_TABLE = {
     (SUB, PROPERLY_OVERSIZED): ("III", True),
     (SUB, UNDERSIZED): ("III", False),
     (SUB, IMPROPERLY_OVERSIZED): ("III", True),
@@ -50,9 +50,9 @@ def table_3_4(work: Workspace) -> Reproduced:
     """Reproduce Table 3.4, and the summary of section 3.1."""
     benches = {case.region: SweepRig.of(work, case) for case in CASES}
     sweeps = Sweeps()
-    for i, (operation, region) in enumerate(_SAID):
+    for i, (operation, region) in enumerate(_SOURCE_TABLE):
         sweeps[operation, region] = {kind: swept(benches[region], operation, kind) for kind in _KINDS}
-        work.progress((i + 1) / len(_SAID))
+        work.progress((i + 1) / len(_SOURCE_TABLE))
     stable = {cell: {kind: _any_stable(one) for kind, one in kinds.items()} for cell, kinds in sweeps.items()}
     return Reproduced(
         (
@@ -72,7 +72,7 @@ def table_3_4(work: Workspace) -> Reproduced:
             f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
             "A function of rotor damping is taken to mean: whether the stable point exists depends on it.",
         ),
-        (*(_cell(cell, sweeps, stable) for cell in _SAID), *_summary(benches, stable)),
+        (*(_cell(cell, sweeps, stable) for cell in _SOURCE_TABLE), *_summary(benches, stable)),
     )
 
 
@@ -83,7 +83,7 @@ def _any_stable(one: Swept) -> NDArray[np.bool_]:
 
 def _cell(cell: Cell, sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> Claim:
     operation, region = cell
-    kind, depends = _SAID[cell]
+    kind, depends = _SOURCE_TABLE[cell]
     own, there = stable[cell][kind], np.any(sweeps[cell][kind].stable != ABSENT, axis=0)
     others = {other: int(np.sum(stable[cell][other])) for other in _KINDS if other != kind}
     lost = int(np.sum(~there))
@@ -167,13 +167,13 @@ def _summary(benches: dict[str, SweepRig], stable: dict[Cell, dict[str, NDArray[
 
 def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> SourceTable:
     columns: dict[str, list[str] | list[float]] = {
-        "operation": [cell[0] for cell in _SAID],
-        "region": [cell[1] for cell in _SAID],
-        "source": [kind + (", by damping" if depends else "") for kind, depends in _SAID.values()],
+        "operation": [cell[0] for cell in _SOURCE_TABLE],
+        "region": [cell[1] for cell in _SOURCE_TABLE],
+        "source": [kind + (", by damping" if depends else "") for kind, depends in _SOURCE_TABLE.values()],
     }
     for kind in _KINDS:
-        columns[f"{kind}_stable_share"] = [float(np.mean(stable[cell][kind])) for cell in _SAID]
-        gone = [np.all(sweeps[cell][kind].stable == ABSENT, axis=0) for cell in _SAID]
+        columns[f"{kind}_stable_share"] = [float(np.mean(stable[cell][kind])) for cell in _SOURCE_TABLE]
+        gone = [np.all(sweeps[cell][kind].stable == ABSENT, axis=0) for cell in _SOURCE_TABLE]
         columns[f"{kind}_absent_share"] = [np.count_nonzero(g) / np.size(g) for g in gone]
     return SourceTable("stable-types", "Share of the sweep at which a type has a stable point", columns, shown=True)
 
@@ -184,7 +184,7 @@ def _drawn(benches: dict[str, SweepRig]) -> Figure:
         for row, operation in zip(rows, (SUB, SUPER), strict=True):
             cells: list[Axes] = row
             for axes, case in zip(cells, CASES, strict=True):
-                kind, depends = _SAID[operation, case.region]
+                kind, depends = _SOURCE_TABLE[operation, case.region]
                 p = benches[case.region].damped(SHOWN_ZETA, SHOWN_C34)
                 point = stable_first(p, SHOWN_SPEED[operation], kind)
                 title = (

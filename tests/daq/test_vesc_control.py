@@ -391,7 +391,7 @@ def test_after_disable_it_runs_as_it_likes(bench: Bench) -> None:
     bench.control.disable()
     bench.pass_time(1.0)
     assert 200 < bench.rpm < 300
-    assert bench.control.state == "LET GO"
+    assert bench.control.state == "RELEASED"
     assert not bench.control.enabled
 
 

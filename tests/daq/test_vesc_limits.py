@@ -113,7 +113,7 @@ def test_the_state_of_an_answer_without_status_byte_is_that_of_the_command() -> 
 def test_a_brake_and_a_release_have_no_set_point_and_the_state_of_the_status_byte() -> None:
     line = serial()
     line.feed(TX, wire.set_rpm(700), 0)
-    for command, name in ((wire.set_brake(7.0), "BRAKES"), (wire.release(), "LET GO")):
+    for command, name in ((wire.set_brake(7.0), "BRAKES"), (wire.release(), "RELEASED")):
         line.feed(TX, command, 0)
         found = line.feed(RX, b"".join(answer(replace(TURNS, status=byte)) for byte in (0, 1, 2, 3, 4, 1, 8, 16)), 0)
         assert [target_rpm for _, target_rpm, _ in rows(found)] == [0.0] * 8

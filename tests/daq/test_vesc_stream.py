@@ -90,7 +90,7 @@ def test_what_may_turn_is_no_fault(rules: int, erpms: list[int], command: bytes)
     [
         (wire.Values(), stream.NOTHING, "NOT COMMANDED"),
         (wire.Values(), stream.BRAKE, "BRAKES"),
-        (wire.Values(), stream.FREE, "LET GO"),
+        (wire.Values(), stream.FREE, "RELEASED"),
         (wire.Values(status=1), stream.SPEED, "TIMED OUT"),
         (wire.Values(status=3), stream.SPEED, "KILL SWITCH OPEN"),
         (wire.Values(status=3, fault=255), stream.SPEED, "FAULT"),

@@ -46,7 +46,7 @@ def state(word: int) -> str:
         return "KILL SWITCH OPEN"
     if status & wire.TIMED_OUT:
         return "TIMED OUT"
-    return {NOTHING: "NOT COMMANDED", SPEED: "HOLDS SPEED", BRAKE: "BRAKES", FREE: "LET GO"}[word >> 8 & 3]
+    return {NOTHING: "NOT COMMANDED", SPEED: "HOLDS SPEED", BRAKE: "BRAKES", FREE: "RELEASED"}[word >> 8 & 3]
 
 
 class VescLine(Protocol):
