@@ -3,5 +3,5 @@
     session ─▶ session_connection ─(pipe)─▶ served ─┐
     log ─────▶ played ──────────────────────────────┴─▶ server ─▶ clients, each with a queue of its own ─▶ protocol
 
-The connection has no token, because the protocol has none: docs/decisions/0018-foxglove.md.
+The connection has no token, because the protocol has none: docs/decisions/0017-foxglove.md.
 """
