@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
@@ -60,6 +61,21 @@ def test_actions_are_pinned_and_uv_has_the_version_of_the_makefile() -> None:
     wanted = re.search(r"^UV_VERSION := (\S+)$", MAKEFILE, re.MULTILINE)
     assert wanted is not None
     assert re.findall(r'^  UV_VERSION: "([^"]+)"', text, re.MULTILINE) == [wanted[1]]
+
+
+@pytest.mark.parametrize(
+    ("message", "holds"),
+    [
+        ("A" * 72 + "\n\nWhy.\n", True),
+        ("One line\n", True),
+        ("One line\n# a comment of git\n", True),
+        ("A" * 73 + "\n\nWhy.\n", False),
+        ("Subject\nno empty line\n", False),
+    ],
+)
+def test_the_subject_of_a_commit_is_short(message: str, holds: bool) -> None:
+    (pattern,) = hooks("commit-msg")
+    assert (re.search(pattern, message, re.MULTILINE | re.DOTALL) is None) == holds
 
 
 def test_types_are_checked_at_a_push_only() -> None:
