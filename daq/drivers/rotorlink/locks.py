@@ -13,7 +13,7 @@ from daq.transports.host_clock import HostClock
 
 _DEFAULT_NODE = 1
 _TRIES, _TRY_S, _CHECK_S = 20, 0.15, 0.02  # wall seconds
-_PINGS, _PING_EVERY_S = 20, 0.03  # wall seconds; the least of 20 is near the least delay of a radio with jitter
+_PINGS, _PING_EVERY_S = 20, 0.04  # wall seconds; the least of 20 is near the least delay of a radio with jitter
 _ACCEPTED, _ALREADY = 0, 4
 
 
@@ -67,9 +67,9 @@ class NodeLocks:
             sent_ns[self._seq] = self._clock.now_ns()
             self._transmit(wire.Ping(self._node, self._seq).pack())
             deadline = self._clock.wall_s() + _PING_EVERY_S
-            while (left_s := deadline - self._clock.wall_s()) > 0:
+            while self._clock.wall_s() < deadline:
                 with suppress(queue.Empty):  # usual: no answer so far
-                    event = self._acknowledges.get(timeout=left_s)
+                    event = self._acknowledges.get(timeout=_CHECK_S)
                     if event.facts.get("ping_seq") in sent_ns:
                         found_ns.append(event.facts["time_ns"] - sent_ns[event.facts["ping_seq"]])
         return min(found_ns) * 1e-9 if found_ns else None
