@@ -44,7 +44,12 @@ def check(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Validate a rig file, open its devices, compare them with the file; exit 3 when a device fails a check."""
+    """Compare the devices of a rig with its rig file: identities, rates, faults.
+
+    The exit code is 3 if a device fails a check.
+
+    Example: `rig check my.toml`
+    """
     loaded = load_rig(rig, settings=settings or [])
     warnings = warn_of_unusual_settings(loaded)
     session = Session(loaded, HostClock(time_scale))
@@ -140,7 +145,12 @@ def record(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    """Record every device of a rig, and show rates, losses and the disk.
+
+    The recording ends with Ctrl-C, after --duration, or with --until-silent when no device sends data.
+
+    Example: `rig record my.toml -o run.mcap --duration 60`
+    """
     output, listen, note = recording.output, recording.listen, recording.note
     loaded, identities = load_rig_or_log(rig, settings or [])
     warn_of_unusual_settings(loaded)

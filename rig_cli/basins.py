@@ -83,11 +83,13 @@ def basins(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Where releases end, over the angles at which the locks hold the pendulums.
+    """Map where releases end, over the angles at which the locks hold the pendulums.
 
     An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
     followed until it is within the domain of attraction of a stable motion. Cells whose end changes within the stated
     error are marked as boundaries.
+
+    Example: `rig basins my.toml --point B`
     """
     _check(releases, files)
     numbers = _grid(releases.grid)

@@ -64,7 +64,10 @@ def bench(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Time against true error for every method on offer, with peers in the same run."""
+    """Measure time against true error for every method, with peers in the same run.
+
+    Example: `rig bench dynamics`
+    """
     started = time.monotonic()
     found = _dynamics(quick) if what == "dynamics" else _identification(quick)
     files: list[str] = []

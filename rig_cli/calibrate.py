@@ -141,7 +141,12 @@ def calibrate(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks; exit 1 when refused."""
+    """Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks.
+
+    The exit code is 1 if the calibration is refused.
+
+    Example: `rig calibrate my.toml laser_x --block "-4, 0, 4 mm ± 1 µm"`
+    """
     source, text = rig_text(rig)
     loaded = rig_from_text(source, text, settings=settings or [])
     kind = _kind(loaded, device)

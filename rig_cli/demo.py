@@ -100,7 +100,12 @@ def demo(
     displays: Displays = TERMINAL_ONLY,
     json: Json = False,
 ) -> int:
-    """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
+    """Record, identify, validate and report a whole campaign on the virtual rig.
+
+    The tests run through the real drivers.
+
+    Example: `rig demo`
+    """
     started = time.monotonic()
     seed = simulation.seed
     changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])

@@ -34,6 +34,8 @@ def export(
     OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json next to them. Mat and hdf5 contain
     everything in one file.
 
+    Example: `rig export run.mcap -o run.parquet`
+
     Parameters
     ----------
     log
@@ -163,6 +165,8 @@ def import_(
     rad deg rev, rad/s rpm Hz deg/s, with a minus sign for an axis that points the other way, or a number that turns
     the value into m, rad, s or rad/s; it may be left out if the name ends in it (displacement_m). A column with
     times of its own is NAME:UNIT@TIME:UNIT. Empty cells are not samples; gaps are counted and never filled.
+
+    Example: `rig import old.csv -o old.mcap --rig my.toml --test ring-down-x --time t:ms --x disp1:mm`
 
     Parameters
     ----------

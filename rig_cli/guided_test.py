@@ -116,11 +116,14 @@ def test(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.
+    """Run one guided test, show its plan, or list the tests that a rig still needs.
 
-    The tests are ring-down-x, ring-down-y, spin-down, run-up, run-down, point NAME, start-ups NAME, and those of
-    installed packages. While one runs in a terminal, p pauses it where the rig may wait, r resumes, a aborts it (the
-    log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter writes to the log.
+    Without a name it lists what the rig can do and what is missing. The tests are ring-down-x, ring-down-y,
+    spin-down, run-up, run-down, point NAME, start-ups NAME, and those of installed packages. While one runs in a
+    terminal, p pauses it where the rig may wait, r resumes, a aborts it (the log is kept, the rotor comes to rest,
+    exit code 1), n begins a note that Enter writes to the log.
+
+    Example: `rig test my.toml ring-down-x`
     """
     parameters = options.parameters
     known = None if parameters is None else IdentifiedParameters.load(parameters)

@@ -88,10 +88,13 @@ def live(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Show a rig or a log in the browser, with a stop button; access needs its token.
+    """Show a rig or a log in the browser, with a stop button.
 
-    Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
-    page has a stop button. With --json the first line is {"url", "token"}.
+    Access to the page needs its token. Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened
+    and watched, and nothing is recorded; its page has a stop button. With --json the first line is {"url",
+    "token"}.
+
+    Example: `rig live run.mcap`
     """
     if source.endswith((".mcap", ".mcap.part")):
         return _log(Path(source), place, speed, parameters, foxglove, settings or [], json)

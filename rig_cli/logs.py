@@ -100,6 +100,8 @@ def logs(
 ) -> int:
     """List the logs of a folder and of the folders below it, newest first.
 
+    Example: `rig logs out spin-down`
+
     Args:
         folder: where the logs are.
         words: each must be in the rig's name, test, point, note or file name.
@@ -145,9 +147,12 @@ def log(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
+    """Show what is in one log, and check every byte of it.
 
-    Losses of a recovered log that occurred before its recovery are listed, but are no damage of this file.
+    The exit code is 1 if the file is cut or damaged. Losses of a recovered log that occurred before its recovery
+    are listed, but are no damage of this file.
+
+    Example: `rig log run.mcap`
 
     Args:
         log: the log, finished or not.

@@ -110,10 +110,12 @@ def map(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Where the balanced state is stable, over any two numbers of the rig file.
+    """Map where the balanced state is stable, over any two numbers of the rig file.
 
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2. If neither axis is a speed, --point, --speed-ratio or --speed-rpm gives it.
+
+    Example: `rig map my.toml --borders`
     """
     with wait_for_compilation("stability map"):
         from analysis.maps.answers import compile_maps  # numba takes a while to load

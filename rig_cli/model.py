@@ -103,10 +103,13 @@ def predict(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
+    """Predict steady states, stability and amplitudes, and where a release ends.
 
-    --balancing and --lost need no speed. With --parameters all effects of the parameters file are included (a bow,
-    drag, a suspension that depends on the motion), and the sensors' amplitudes include run-out.
+    The speed is that of a point, or is given. --balancing and --lost need no speed. With --parameters all effects
+    of the parameters file are included (a bow, drag, a suspension that depends on the motion), and the sensors'
+    amplitudes include run-out.
+
+    Example: `rig predict my.toml --point B`
     """
     check_outputs("rig predict: --plot", plot, force=force)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))

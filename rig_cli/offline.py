@@ -38,10 +38,12 @@ def identify(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.
+    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs.
 
-    Masses, lengths and calibration are those of the rig file in the logs. Logs of different rigs are refused. With
-    --from and --to the fits take the same part of each log.
+    The result is written to parameters.toml. Masses, lengths and calibration are those of the rig file in the logs.
+    Logs of different rigs are refused. With --from and --to the fits take the same part of each log.
+
+    Example: `rig identify out -o after.toml`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.time_span import TimeSpan
@@ -138,9 +140,12 @@ def validate(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
+    """Compare steady states and releases at points with the model.
 
-    With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
+    The exit code is 1 if a point does not pass. With --set it answers a what-if: the settings override rig file and
+    parameters, and no verdict is kept.
+
+    Example: `rig validate my.toml out --parameters parameters.toml`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.verdicts import without_verdicts

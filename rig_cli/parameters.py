@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
 from rig_cli.options import Force, Json, check_outputs
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
     from identification.history import History
     from identification.joint.limits import ParameterLimit
 
-app: App = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
+app: App = App(
+    name="parameters",
+    help=f"{COMMANDS['parameters'].sentence}\n\nExample: `rig parameters diff before.toml after.toml`",
+)
 app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]
@@ -37,6 +41,8 @@ def show(
     json: Json = False,
 ) -> int:
     """Show parameters files: values, uncertainty, what limits them, which tests they came from, correlations.
+
+    Example: `rig parameters show parameters.toml`
 
     Args:
         files: parameters.toml files.
@@ -65,6 +71,8 @@ def diff(
     json: Json = False,
 ) -> int:
     """Compare two parameters files: what changed, by how much, and whether that is significant.
+
+    Example: `rig parameters diff before.toml after.toml`
 
     Args:
         old: the parameters before.
@@ -95,6 +103,8 @@ def history(
     json: Json = False,
 ) -> int:
     """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.
+
+    Example: `rig parameters history campaigns --plot history.svg`
 
     Args:
         places: parameters files, and folders that are searched for them. A log is included after it is identified.

@@ -101,6 +101,8 @@ def budget(
 ) -> int:
     """Show the uncertainty of each parameter, with --rig also of each quantity predicted at the points, by source.
 
+    Example: `rig parameters budget parameters.toml`
+
     Args:
         file: parameters.toml.
         names: parameters (k1), points (D) or their quantities (D.theta3_deg); without one, all.

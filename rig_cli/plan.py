@@ -26,7 +26,11 @@ def plan(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate; exit 1 when none can.
+    """List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate.
+
+    The exit code is 1 if no experiment reaches it.
+
+    Example: `rig plan my.toml --want zeta1=1%`
 
     Args:
         rig: a rig file, or the name of a shipped one; its parameters are the prior estimates.

@@ -53,7 +53,7 @@ def plot(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Draw logs: orbit, Bode, polar, waterfall and more, the model with what was measured.
+    """Draw logs as orbit, Bode, polar, waterfall and more, with the model.
 
     time: displacements, angles, speed. orbit: path with index mark. dial: pendulum angles. bode, polar: 1× vectors over
     speed. waterfall: spectra over speed. spectrum: full spectrum and power densities. orders: order map. slip: angles
@@ -63,6 +63,8 @@ def plot(
 
     A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
     name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.
+
+    Example: `rig plot bode out/run-up.mcap`
 
     Args:
         logs: logs, and folders of them; of history parameters files.

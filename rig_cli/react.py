@@ -53,9 +53,12 @@ def react(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is balanced again.
+    """Simulate how the pendulums answer a sudden change at speed.
 
-    The motion starts in the stable state of the rig before the change and continues with --change at the same speed.
+    The results are the vibration, its peak, and the time until the rotor is balanced again. The motion starts in
+    the stable state of the rig before the change and continues with --change at the same speed.
+
+    Example: `rig react my.toml --point E --change imbalance.radius_m=+20%`
     """
     check_outputs("rig react: --plot", plot, force=force)
     if not change:

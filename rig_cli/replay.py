@@ -77,6 +77,8 @@ def replay(
     that pace. With --to it plays the bytes to other programs, at --speed (default 1); a program that configures its
     devices first gets the devices' replies. With --interlocks it shows when they would have tripped, exit code 1 when
     one would.
+
+    Example: `rig replay run.mcap --check`
     """
     _refuse_contradictions(job)
     if job.interlocks:

@@ -30,10 +30,13 @@ def report(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Write the report of a campaign's logs, at any time; exit 1 when a point fails.
+    """Write the report of a campaign from its logs.
 
-    The tests are identified again, and points are validated with the result of the tests alone; with --parameters
-    nothing is identified. The numbers are written next to the page, in a file of the same name that ends in .json.
+    It can be written at any time. The exit code is 1 if a point fails. The tests are identified again, and points
+    are validated with the result of the tests alone; with --parameters nothing is identified. The numbers are
+    written next to the page, in a file of the same name that ends in .json.
+
+    Example: `rig report out`
 
     Args:
         places: folders of a campaign, and logs.

@@ -11,6 +11,7 @@ from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
 from rig_basics.whole_file import write_whole_text
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json, Settings
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
     from studies.archive import Reidentified
     from studies.campaigns import CampaignResults
 
-app: App = App(
-    name="study", help="Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
-)
+app: App = App(name="study", help=f"{COMMANDS['study'].sentence}\n\nExample: `rig study campaigns`")
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; its study continues")]
 
 
@@ -40,7 +39,10 @@ def campaigns(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run campaigns on the virtual rig: how often the truth is in the stated intervals, and how often points pass."""
+    """Run campaigns on the virtual rig: how often the truth is in the stated intervals, and how often points pass.
+
+    Example: `rig study campaigns`
+    """
     from studies.campaigns import CampaignResults, campaign_study, need_virtual  # loads numba
 
     need_virtual(rig, settings or [])
@@ -75,7 +77,10 @@ def archive(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Identify every campaign of an archive again; the logs of one folder are one campaign."""
+    """Identify every campaign of an archive again; the logs of one folder are one campaign.
+
+    Example: `rig study archive archive`
+    """
     from studies.archive import Reidentified, archive_study, campaigns_in  # loads numba
 
     if not folders:

@@ -37,11 +37,13 @@ def track(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """States and pendulum damping of a logged run over time, with uncertainty.
+    """Follow states and pendulum damping through a log, with uncertainty.
 
     Spin-downs and points show the damping; rows are x, y, θ3, θ4, their rates, c3, c4 with standard deviations. The
     start values of c3 and c4 are those of --parameters, or of the rig file, and may be wrong by a factor of ten. A bow
     in --parameters acts on the motion.
+
+    Example: `rig track out/spin-down.mcap`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.verdicts import without_verdicts

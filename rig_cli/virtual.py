@@ -10,12 +10,17 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.options import Json, Settings
 from rig_configs import RigFileError, load_rig
 
-app: App = App(name="virtual", help="Start a virtual rig; operate it from another terminal.")
+app: App = App(
+    name="virtual",
+    help=f"{COMMANDS['virtual'].sentence}\n\nIts ports are printed as one JSON line. Ctrl-C or `rig virtual stop` "
+    "ends it.\n\nExample: `rig virtual`",
+)
 
 Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]
 _SLOWLY_RPM_S = 20.0
@@ -53,7 +58,10 @@ def start(
     parent: ParentProcess = _NO_PARENT,
     json: Json = False,
 ) -> None:
-    """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
+    """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it.
+
+    Example: `rig virtual`
+    """
     from daq.virtual_rig.run import VirtualRig, serve  # only this command simulates
     from rig_cli.plugged_rig_file import need_free, write_plugged
 
@@ -142,14 +150,20 @@ def pluck(
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Displace the column along an axis and release it."""
+    """Displace the column along an axis and release it.
+
+    Example: `rig virtual pluck x`
+    """
     _by_hand(control, lambda hand: hand.pluck(axis, mm))
     _done(json, f"plucked along {axis}")
 
 
 @app.command
 def flick(*, control: Control = None, json: Json = False) -> None:
-    """Set both pendulums spinning, one each way, slower than two turns a second."""
+    """Set both pendulums spinning, one each way, slower than two turns a second.
+
+    Example: `rig virtual flick`
+    """
     _by_hand(control, lambda hand: hand.flick())
     _done(json, "flicked both pendulums")
 
@@ -161,7 +175,10 @@ def clamp(
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Hold both pendulums at their places, A at 0° and B at 180°, if no device does; or release them."""
+    """Hold both pendulums at their places, A at 0° and B at 180°, if no device does; or release them.
+
+    Example: `rig virtual clamp`
+    """
     _by_hand(control, lambda hand: hand.release() if release else hand.lock(seen=True))
     _done(json, "released both pendulums" if release else "holding both pendulums at their places")
 
@@ -174,14 +191,20 @@ def turn(
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Bring the rotor to a speed and hold it there, if no drive does; 0: to rest."""
+    """Bring the rotor to a speed and hold it there, if no drive does; 0: to rest.
+
+    Example: `rig virtual turn 600`
+    """
     _by_hand(control, lambda hand: hand.turn(rpm, ramp))
     _done(json, f"turning the rotor to {rpm:g} rpm by {ramp:g} rpm/s")
 
 
 @app.command(name="set")
 def set_(setting: str, *, control: Control = None, json: Json = False) -> None:
-    """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%."""
+    """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%.
+
+    Example: `rig virtual set suspension.k2_N_per_m=+5%`
+    """
     from rig_configs import parse_setting
 
     key, value = parse_setting(setting)
@@ -203,6 +226,8 @@ def fault(
     json: Json = False,
 ) -> None:
     """Place a fault in a device.
+
+    Example: `rig virtual fault mute laser_x`
 
     Args:
         kind: the fault; its words may be joined by hyphens.
@@ -247,7 +272,10 @@ def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]
 
 @app.command
 def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
-    """Pull a device's cable."""
+    """Pull a device's cable.
+
+    Example: `rig virtual unplug laser_x`
+    """
     with _operator(control) as line:
         line.ask("unplug", device=device)
     _done(json, f"{device}: cable pulled", device=device)
@@ -255,7 +283,10 @@ def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def plug(device: str, *, control: Control = None, json: Json = False) -> None:
-    """Plug a device in again; its port may have another name now."""
+    """Plug a device in again; its port may have another name now.
+
+    Example: `rig virtual plug laser_x`
+    """
     with _operator(control) as line:
         port = str(line.ask("plug", device=device)["port"])
     _done(
@@ -265,7 +296,10 @@ def plug(device: str, *, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def state(*, control: Control = None, json: Json = False) -> None:
-    """Show the state of the rig: motion, ports, present faults."""
+    """Show the state of the rig: motion, ports, present faults.
+
+    Example: `rig virtual state`
+    """
     from rig_cli.virtual_page import onlooker, show_state
 
     with _operator(control) as line:
@@ -275,7 +309,10 @@ def state(*, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def stop(*, control: Control = None, json: Json = False) -> None:
-    """End the running rig."""
+    """End the running rig.
+
+    Example: `rig virtual stop`
+    """
     with _operator(control) as line:
         line.ask("quit")
         line.wait_for_end()
