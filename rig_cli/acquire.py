@@ -24,6 +24,7 @@ from rig_cli.console import notify, print_json
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
 from rig_cli.share_progress import share_progress
@@ -125,7 +126,7 @@ class RecordingOptions:
         note: the operator's note.
     """
 
-    output: Annotated[Path, Parameter(name=["--output", "-o"])]
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)]
     duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None
     listen: Annotated[
         bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")

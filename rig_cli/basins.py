@@ -17,6 +17,7 @@ from rig_basics.whole_file import written_whole
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
+from rig_cli.option_groups import OUTPUT, RELEASES
 from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 _MOST = 1_000_000
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=RELEASES)
 @dataclass(frozen=True)
 class BasinReleases:
     """Releases of a basin map, and of rigs drawn from the parameters.
@@ -53,7 +54,7 @@ class BasinReleases:
     play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True)
 class BasinFiles:
     """Files of a basin map; None: not written.
@@ -64,7 +65,9 @@ class BasinFiles:
         force: whether existing files are replaced.
     """
 
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="write the arrays as .npz")
+    ] = None
     plot: Plot = None
     force: Force = False
 

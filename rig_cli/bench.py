@@ -18,6 +18,7 @@ from rich.text import Text
 
 from rig_basics.whole_file import write_whole_text
 from rig_cli.console import StepProgress, plain, print_json, wait_for_compilation
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json
 from rig_configs import load_rig
 
@@ -60,7 +61,9 @@ def bench(
     ] = False,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="write table (.md, .json) and figure (.svg) into a directory"),
+        Parameter(
+            name=["--output", "-o"], group=OUTPUT, help="write table (.md, .json) and figure (.svg) into a directory"
+        ),
     ] = None,
     json: Json = False,
 ) -> int:

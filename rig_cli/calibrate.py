@@ -31,6 +31,7 @@ from rig_cli.calibrated_rig_file import name_of_record, old_values, write_record
 from rig_cli.console import notify, print_json
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
+from rig_cli.option_groups import CLOSINGS, POSITIONS
 from rig_cli.options import Json, Settings, check_outputs, warn_of_unusual_settings
 from rig_configs import RigFileError
 from rig_configs.device import DisplacementSettings
@@ -38,7 +39,7 @@ from rig_configs.load import rig_from_text, rig_text, validate
 from rig_configs.schema import Rig
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=POSITIONS)
 @dataclass(frozen=True)
 class Positions:
     """Known positions of a sensor's target.
@@ -78,7 +79,7 @@ class Positions:
         return SensorSetup(self.toward, self.at_disk, self.seconds, zero)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=CLOSINGS)
 @dataclass(frozen=True)
 class Closings:
     """How the encoders are calibrated.

@@ -28,6 +28,7 @@ from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_test import ending_words, run_test
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import TimeScale
+from rig_cli.option_groups import SIMULATION
 from rig_cli.options import Json, Settings
 from rig_cli.simulated import VirtualRigProcess
 from rig_cli.validation_page import whole_lines
@@ -54,7 +55,7 @@ class TruthChange:
     step: str
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=SIMULATION)
 @dataclass(frozen=True)
 class Simulation:
     """How the virtual rig is run.

@@ -25,6 +25,7 @@ from rig_cli.guided_test_page import TestPage
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
+from rig_cli.option_groups import TEST_NUMBERS
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from rig_cli.tracking import LiveTracking
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=TEST_NUMBERS)
 @dataclass(frozen=True)
 class TestNumbers:
     """Numbers of a test. None: the test's own default.

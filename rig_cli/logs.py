@@ -14,6 +14,7 @@ from cyclopts import Parameter
 from daq.catalogue.query import Query, Sort, parse_instant
 from rig_cli.console import notify, print_json
 from rig_cli.log_table import print_logs
+from rig_cli.option_groups import CONDITIONS
 from rig_cli.options import Force, Json, check_outputs
 from rig_cli.share_progress import share_progress
 from rig_cli.words import local_time
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative="")]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=CONDITIONS)
 @dataclass(frozen=True)
 class LogFilter:
     """Conditions on the listed logs. Empty ones admit every log.

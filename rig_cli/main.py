@@ -24,7 +24,7 @@ from rig_cli import answer, crash
 from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
-from rig_cli.numbers import NUMBERS_ARE_FINITE
+from rig_cli.numbers import EVERY_OPTION
 from rig_cli.signals import end_at_next_signal, interrupt_at_signals
 from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
@@ -62,7 +62,7 @@ def commands(loaded: Collection[str] = ()) -> App:
     app = App(
         name="rig",
         suppress_keyboard_interrupt=False,
-        default_parameter=NUMBERS_ARE_FINITE,
+        default_parameter=EVERY_OPTION,
         version=_version,
         help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.\n\n"
         "Every command takes --log-level LEVEL (debug, info, warning or error): lines about what the software does and "

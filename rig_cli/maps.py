@@ -13,6 +13,7 @@ from rig_cli.console import notify, plain, print_json, wait_for_compilation
 from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import PositiveSeconds
+from rig_cli.option_groups import OUTPUT, PLANE, WORK
 from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
@@ -25,7 +26,7 @@ _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 _X_OF_MOTIONS, _Y_OF_MOTIONS = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=PLANE)
 @dataclass(frozen=True)
 class MapPlane:
     """Axes, quantity and borders of a map.
@@ -64,7 +65,7 @@ class MapPlane:
     ] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=WORK)
 @dataclass(frozen=True)
 class MapWork:
     """How a map is computed.
@@ -84,13 +85,13 @@ class MapWork:
     scheduler: Scheduler = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True)
 class MapFiles:
     """Files of a map; None: not written. force: whether existing files are replaced."""
 
     output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
+        Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="write the arrays: .npz, .parquet or .zarr")
     ] = None
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None
     force: Force = False

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import Positive
+from rig_cli.option_groups import MODEL, OUTPUT, QUESTIONS
 from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from dynamics.steady.outcome import ReleaseOutcome
     from dynamics.steady.steady_state import SteadyState, SteadyStates
 
-Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
+Plot = Annotated[Path | None, Parameter(name="--plot", group=OUTPUT, help="write a figure: .svg, .png or .pdf")]
 Sweep = Annotated[
     str | None,
     Parameter(
@@ -47,7 +48,7 @@ AccuracyOrNone = Annotated[
 ]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MODEL)
 @dataclass(frozen=True)
 class PredictModel:
     """Accuracy and model of a prediction.
@@ -61,7 +62,7 @@ class PredictModel:
     at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=QUESTIONS)
 @dataclass(frozen=True)
 class PredictQuestions:
     """Results besides the steady states, or instead of them.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
+from rig_cli.option_groups import AXIS_ANGLE, OUTPUT
 from rig_cli.options import WHOLE_LOG, Force, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
@@ -27,7 +28,7 @@ _MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 def identify(
     *logs: Path,
     rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)] = Path("parameters.toml"),
     setting: Annotated[
         Literal["fast", "balanced", "reference"],
         Parameter(help=SETTING_HELP),
@@ -93,7 +94,7 @@ def _held_back(names: list[str]) -> frozenset[Rung]:
         raise RigFileError(f"rig identify: --without: {error}") from error
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=AXIS_ANGLE)
 @dataclass(frozen=True)
 class AxisAngle:
     """Angle between sensor and stiffness axes, instead of the identified one.

@@ -11,6 +11,7 @@ from cyclopts import App, Parameter
 from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, check_outputs
 from rig_cli.parameters_budget import budget
 from rig_cli.plan import share
@@ -97,7 +98,7 @@ def diff(
 def history(
     *places: Path,
     rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
-    plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
+    plot: Annotated[Path | None, Parameter(group=OUTPUT, help="draw it: .svg, .png or .pdf")] = None,
     level: Annotated[Chance, Parameter(help="probability of marking any change if there is none")] = 0.01,
     force: Force = False,
     json: Json = False,

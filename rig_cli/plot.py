@@ -11,7 +11,8 @@ from cyclopts import Parameter
 
 from daq.errors import LogError
 from rig_cli.console import notify, print_json
-from rig_cli.options import Json, Settings, what_if_words
+from rig_cli.option_groups import OUTPUT
+from rig_cli.options import Force, Json, Settings, what_if_words
 from rig_cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, RigFileError
 
@@ -46,10 +47,12 @@ def plot(
     output: Annotated[
         Path | None,
         Parameter(
-            name=["--output", "-o"], help="a figure (.svg, .png, .pdf, .html) or a folder; without: current folder"
+            name=["--output", "-o"],
+            group=OUTPUT,
+            help="a figure (.svg, .png, .pdf, .html) or a folder; without: current folder",
         ),
     ] = None,
-    force: Annotated[bool, Parameter(negative="", help="replace existing figures")] = False,
+    force: Force = False,
     settings: Settings = None,
     json: Json = False,
 ) -> int:

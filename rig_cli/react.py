@@ -12,6 +12,7 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
+from rig_cli.option_groups import MOTION_END, OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from dynamics.steady.reaction import Reaction
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MOTION_END)
 @dataclass(frozen=True)
 class ReactionEnd:
     """End of the motion after the change.
@@ -47,7 +48,9 @@ def react(
     ] = None,
     speed: SpeedChoice = NO_SPEED,
     until: ReactionEnd = _UNTIL_SHARE,
-    plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
+    plot: Annotated[
+        Path | None, Parameter(group=OUTPUT, help="write a figure: .svg, .png, .pdf, or .html, which zooms")
+    ] = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
     force: Force = False,

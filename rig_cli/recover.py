@@ -8,12 +8,16 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json
 from rig_cli.share_progress import share_progress
 
 
 def recover(
-    part: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
+    part: Path,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT)] = None,
+    json: Json = False,
 ) -> int:
     """Make a cut or damaged log whole, and list what is missing.
 

@@ -22,6 +22,7 @@ from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.pace import paced
 from rig_cli.console import STDERR, notify, print_json, show
 from rig_cli.numbers import SecondsOrNone
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, Settings
 from rig_cli.replay_interlocks import show_interlocks
 from rig_cli.replay_view import ReplayView
@@ -48,7 +49,9 @@ class ReplayJob:
 
     check: bool = False
     calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="new log, decoded again")] = (
+        None
+    )
     speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None
     to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None
     linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None

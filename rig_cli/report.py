@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, status_line
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, check_outputs
 from rig_configs import IdentifiedParameters, RigFileError
 
@@ -25,7 +26,9 @@ def report(
     since: Annotated[Path | None, Parameter(help="an earlier parameters.toml: what changed since then")] = None,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="the HTML file; by default report.html in the first folder"),
+        Parameter(
+            name=["--output", "-o"], group=OUTPUT, help="the HTML file; by default report.html in the first folder"
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled
 from rig_cli.setting_costs import TRACKING_HELP
 from rig_cli.share_progress import share_progress
@@ -29,6 +30,7 @@ def track(
         Path | None,
         Parameter(
             name=["--output", "-o"],
+            group=OUTPUT,
             help="a folder, a table (.parquet, .csv, .npz; with its figure) or a figure (.svg, .png, .pdf)",
         ),
     ] = None,

@@ -13,6 +13,7 @@ from cyclopts import App, Parameter
 from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, Settings
 from rig_configs import RigFileError, load_rig
 
@@ -49,7 +50,7 @@ def start(
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="write its rig file: these ports, without [virtual]"),
+        Parameter(name=["--output", "-o"], group=OUTPUT, help="write its rig file: these ports, without [virtual]"),
     ] = None,
     time_scale: TimeScale = 1.0,
     link: Literal["auto", "pty", "tcp"] = "auto",

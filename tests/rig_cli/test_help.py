@@ -92,3 +92,23 @@ def test_the_documented_reference_has_the_same_groups() -> None:
     assert re.findall(r"^###? .*", reference, re.MULTILINE) == expected
     assert len(EXAMPLE.findall(reference)) == len(PATHS)
     assert re.findall(r"`rig ([a-z]+)`\]\(#", module.overview()) == list(COMMANDS)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=" ".join)
+def test_no_help_shows_an_option_or_a_default_that_means_nothing(
+    capsys: pytest.CaptureFixture[str], path: tuple[str, ...]
+) -> None:
+    text = shown(capsys, *path[1:])
+    assert "--empty-" not in text
+    assert not re.search(r'default: *(""|False|None|\[\])', text)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=" ".join)
+def test_no_group_of_options_is_longer_than_a_glance(capsys: pytest.CaptureFixture[str], path: tuple[str, ...]) -> None:
+    options = [re.findall(r"^│ .*?--[a-z]", panel, re.MULTILINE) for panel in shown(capsys, *path[1:]).split("╭─")]
+    assert max(map(len, options)) <= 11
+
+
+def test_the_options_of_a_test_stand_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    titles = re.findall(r"^╭─ (.+?) ─", shown(capsys, "test"), re.MULTILINE)
+    assert titles == ["Parameters", "Numbers of the test", "Displays", "Numbers of the rig", "Output"]
