@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, status_line
+from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, check_outputs
 from rig_configs import IdentifiedParameters, RigFileError
@@ -48,17 +49,16 @@ def report(
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
-    from studies.runs import load_runs
     from studies.validated_runs import validated
 
-    logs = _logs(places)
+    logs = logs_of("rig report", places, "FOLDER|LOG…")
     page = _page(output, places, force)
     earlier = None if since is None else (since.name, IdentifiedParameters.load(since))
     given = None if parameters is None else IdentifiedParameters.load(parameters)
     use = RigUse("rig report") if given is None else RigUse.relying_on_estimates("rig report", given)
-    with status_line(f"reading {len(logs)} logs") as notify_status:
-        runs = sorted(load_runs(logs), key=lambda run: run.start_s)
-        loaded = rig_of_logs(logs, use, rig)
+    with status_line(f"reading {len(logs.logs)} logs") as notify_status:
+        runs = sorted(readable_runs(logs)[0], key=lambda run: run.start_s)
+        loaded = rig_of_logs([run.source for run in runs], use, rig)
         points = [run for run in runs if point_of(run.test)]
         before, joint = _identified(runs, points, loaded, given, notify_status)
         validation = validated(runs, loaded, before, notify_status) if points else None
@@ -67,7 +67,7 @@ def report(
     numbers = page.with_suffix(".json")
     passed = validation is None or validation.passed
     if json:
-        result: dict[str, Any] = {"report": str(page), "numbers": str(numbers), "logs": [str(log) for log in logs]}
+        result: dict[str, Any] = {"report": str(page), "numbers": str(numbers), "logs": [str(log) for log in logs.logs]}
         result["points"] = {} if validation is None else {n: p.verdict for n, p in validation.points.items()}
         print_json({**result, "passed": passed})
         return 0 if passed else 1
@@ -75,26 +75,6 @@ def report(
         print_points(validation.to_json()["points"])
     notify(f"written to {page}, its numbers to {numbers.name}")
     return 0 if passed else 1
-
-
-def _logs(places: Sequence[Path]) -> list[Path]:
-    """Return all logs: those given by name, and those in the given folders or one level below."""
-    from daq.log.verdicts import without_verdicts  # pydantic takes a while to import
-
-    if not places:
-        raise RigFileError("no log given; usage: rig report DIR|LOG…")
-    logs: list[Path] = []
-    for place in without_verdicts(places):
-        if place.is_dir():
-            found = sorted([*place.glob("*.mcap"), *place.glob("*/*.mcap")])
-            if not found:
-                raise RigFileError(f"rig report: {place}: expected logs (*.mcap) in this folder, found none")
-            logs += found
-        elif place.exists():
-            logs.append(place)
-        else:
-            raise RigFileError(f"rig report: {place}: expected a folder or a log, found no file of this name")
-    return list(dict.fromkeys(logs))
 
 
 def _page(output: Path | None, places: Sequence[Path], force: bool) -> Path:
