@@ -20,8 +20,9 @@ from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.transports import HostClock
 from rig_cli.check_page import print_checks
-from rig_cli.console import notify, print_json
+from rig_cli.console import notify, print_json, show
 from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.last_sentence import check_sentence
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from rig_cli.option_groups import OUTPUT
@@ -90,6 +91,7 @@ def check(
         )
     else:
         print_checks(devices, session.identities, look.seconds)
+        show(check_sentence(devices, session.rotor_warning))
     return 0 if good and not session.rotor_warning else 3
 
 

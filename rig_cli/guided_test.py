@@ -18,10 +18,11 @@ from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
 from daq.guided_tests.test_inputs import requested_test
 from daq.transports import HostClock
-from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.console import notify, print_json, show, wait_for_compilation
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
 from rig_cli.guided_test_page import TestPage
+from rig_cli.guided_test_result import result_sentence
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
@@ -255,6 +256,7 @@ def _show(done: TestDone, notices: list[str], tracked: dict[str, Any], as_json: 
         for line in _counts(done):
             notify(line)
         notify(f"{done.log}: {ending_words(done)}")
+        show(result_sentence(done))
     return 3 if notices else 1 if done.missed else 0
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from cyclopts import Parameter
 
 from rig_basics.units import TO_RPM
-from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.console import notify, print_json, show, wait_for_compilation
+from rig_cli.last_sentence import predict_sentence
 from rig_cli.numbers import Positive
 from rig_cli.option_groups import MODEL, OUTPUT, QUESTIONS
 from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
@@ -139,6 +140,7 @@ def predict(
         print(line)
     if settings:
         print(what_if_words(settings))
+    show(predict_sentence(result))
     return 0
 
 
@@ -309,7 +311,8 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
     for line in result["unresolved"]:
         print(f"  not in the list: {line}")
     methods = {s.method.split(":")[0]: s.method for s in reversed(found)}
-    print("stability by " + "; by ".join(methods.values()) if methods else "")
+    if methods:
+        print("stability by " + "; by ".join(methods.values()))
     for line in _release_lines(result["releases_within_play"]):
         print(line)
 

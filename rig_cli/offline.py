@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
+from rig_cli.last_sentence import identify_sentence
 from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.option_groups import AXIS_ANGLE, OUTPUT
 from rig_cli.options import WHOLE_LOG, Force, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
@@ -78,6 +79,7 @@ def identify(
     for warning in found.warnings:
         notify(f"warning: {warning}")
     notify(f"written to {output}")
+    show(identify_sentence(parameters, len(runs), found.warnings, output))
     return 0
 
 
