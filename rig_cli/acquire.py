@@ -26,16 +26,16 @@ from rig_cli.last_sentence import check_sentence
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from rig_cli.option_groups import OUTPUT
-from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
+from rig_cli.options import Json, RigFile, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
 from rig_cli.share_progress import share_progress
 from rig_configs import load_rig
 
 
 def check(
-    rig: str,
+    rig: RigFile,
     *,
-    seconds: LookSeconds = 10.0,
+    seconds: Annotated[LookSeconds, Parameter(help="how long the devices are observed, rig time")] = 10.0,
     tap: Annotated[
         bool, Parameter(negative="", help="then tap the disk by hand along +x and +y: are the lasers in their places?")
     ] = False,

@@ -18,7 +18,7 @@ from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.option_groups import OUTPUT, RELEASES
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -76,7 +76,7 @@ _DEFAULT_RELEASES, _NO_FILES = BasinReleases(), BasinFiles()
 
 
 def basins(
-    rig: str,
+    rig: RigFile,
     *,
     speed: SpeedChoice = NO_SPEED,
     releases: BasinReleases = _DEFAULT_RELEASES,

@@ -32,7 +32,7 @@ from rig_cli.console import notify, print_json
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.option_groups import CLOSINGS, POSITIONS
-from rig_cli.options import Json, Settings, check_outputs, warn_of_unusual_settings
+from rig_cli.options import Json, RigFile, Settings, check_outputs, warn_of_unusual_settings
 from rig_configs import RigFileError
 from rig_configs.device import DisplacementSettings
 from rig_configs.load import rig_from_text, rig_text, validate
@@ -133,8 +133,8 @@ class _Outcome:
 
 
 def calibrate(
-    rig: str,
-    device: str,
+    rig: RigFile,
+    device: Annotated[str, Parameter(help="its name in the rig file")],
     *,
     positions: Positions = _POSITIONS,
     closings: Closings = _CLOSINGS,

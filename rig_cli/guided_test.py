@@ -27,7 +27,15 @@ from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
 from rig_cli.option_groups import TEST_NUMBERS
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings, what_if_words
+from rig_cli.options import (
+    Json,
+    ParametersPath,
+    RigFile,
+    Settings,
+    warn_of_filled,
+    warn_of_unusual_settings,
+    what_if_words,
+)
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
@@ -108,9 +116,9 @@ _DEFAULT_NUMBERS, _DEFAULT_RUN = TestNumbers(), TestRun()
 
 
 def test(
-    rig: str,
+    rig: RigFile,
     name: Annotated[str | None, Parameter(help="a test; without one: tests of the rig, and which are missing")] = None,
-    point: str | None = None,
+    point: Annotated[str | None, Parameter(help="name of a point of the rig file, of tests that need one")] = None,
     *,
     options: TestRun = _DEFAULT_RUN,
     numbers: TestNumbers = _DEFAULT_NUMBERS,

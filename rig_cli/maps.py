@@ -14,7 +14,7 @@ from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import PositiveSeconds
 from rig_cli.option_groups import OUTPUT, PLANE, WORK
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -101,7 +101,7 @@ _PLANE, _WORK, _NO_FILES = MapPlane(), MapWork(), MapFiles()
 
 
 def map(
-    rig: str,
+    rig: RigFile,
     *,
     plane: MapPlane = _PLANE,
     work: MapWork = _WORK,

@@ -15,7 +15,7 @@ from rig_cli.console import notify, print_json, show, wait_for_compilation
 from rig_cli.last_sentence import predict_sentence
 from rig_cli.numbers import Positive
 from rig_cli.option_groups import MODEL, OUTPUT, QUESTIONS
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
@@ -94,7 +94,7 @@ _DEFAULT_MODEL, _STEADY_STATES = PredictModel(), PredictQuestions()
 
 
 def predict(
-    rig: str,
+    rig: RigFile,
     *,
     speed: SpeedChoice = NO_SPEED,
     model: PredictModel = _DEFAULT_MODEL,

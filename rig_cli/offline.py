@@ -13,7 +13,17 @@ from rig_cli.console import STDERR, notify, print_json, show
 from rig_cli.last_sentence import identify_sentence
 from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.option_groups import AXIS_ANGLE, OUTPUT
-from rig_cli.options import WHOLE_LOG, Force, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.options import (
+    WHOLE_LOG,
+    Force,
+    Json,
+    LogSpan,
+    ParametersPath,
+    RigFile,
+    Settings,
+    check_outputs,
+    what_if_words,
+)
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, overridden
@@ -30,7 +40,9 @@ _MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 def identify(
     *logs: Annotated[Path, Parameter(help="logs, and folders of them")],
     rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)] = Path("parameters.toml"),
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], group=OUTPUT, help="file of the identified parameters")
+    ] = Path("parameters.toml"),
     setting: Annotated[
         Literal["fast", "balanced", "reference"],
         Parameter(help=SETTING_HELP),
@@ -135,11 +147,11 @@ _IDENTIFIED_ANGLE = AxisAngle()
 
 
 def validate(
-    rig: str,
+    rig: RigFile,
     *logs: Annotated[Path, Parameter(help="logs, and folders of them")],
     parameters: ParametersPath = None,
     axis: AxisAngle = _IDENTIFIED_ANGLE,
-    report: Path | None = None,
+    report: Annotated[Path | None, Parameter(group=OUTPUT, help="HTML file of the report")] = None,
     settings: Settings = None,
     force: Force = False,
     json: Json = False,

@@ -16,6 +16,7 @@ from rig_configs.load import apply_setting, parse_setting, set_by, validate
 from rig_configs.parameters_file import filled_remarks
 from rig_configs.schema import Rig
 
+RigFile = Annotated[str, Parameter(help="a rig file, or the name of a shipped rig")]
 Settings = Annotated[
     list[str] | None,
     Parameter(

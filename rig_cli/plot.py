@@ -38,7 +38,7 @@ Kind = Literal[
 
 
 def plot(
-    kind: Kind,
+    kind: Annotated[Kind, Parameter(help="what is drawn; see above")],
     *logs: Path,
     over: Annotated[Path | None, Parameter(help="a second log, drawn over the first")] = None,
     model: Annotated[

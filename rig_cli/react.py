@@ -13,7 +13,7 @@ from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.option_groups import MOTION_END, OUTPUT
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -41,7 +41,7 @@ _UNTIL_SHARE = ReactionEnd()
 
 
 def react(
-    rig: str,
+    rig: RigFile,
     *,
     change: Annotated[
         list[str] | None, Parameter(help="KEY=VALUE that changes at once: imbalance.radius_m=+20%")

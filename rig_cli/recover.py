@@ -14,9 +14,9 @@ from rig_cli.share_progress import share_progress
 
 
 def recover(
-    part: Path,
+    part: Annotated[Path, Parameter(help="the cut or damaged log")],
     *,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT)] = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="the new log")] = None,
     json: Json = False,
 ) -> int:
     """Make a cut or damaged log whole, and list what is missing.

@@ -65,7 +65,7 @@ _COMPARE = ReplayJob()
 
 
 def replay(
-    log: Path,
+    log: Annotated[Path, Parameter(help="finished or cut")],
     *,
     job: ReplayJob = _COMPARE,
     settings: Annotated[

@@ -14,7 +14,7 @@ from rig_basics.whole_file import write_whole_text
 from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
-from rig_cli.options import Json, Settings
+from rig_cli.options import Json, RigFile, Settings
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_configs import RigFileError
@@ -30,7 +30,7 @@ Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results a
 
 @app.command
 def campaigns(
-    rig: str = "virtual",
+    rig: RigFile = "virtual",
     *,
     runs: Annotated[WholeCount, Parameter(help="how many campaigns")] = 100,
     seed: Annotated[int, Parameter(help="of the first; those of the others count up from it")] = 0,

@@ -14,7 +14,7 @@ from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.option_groups import OUTPUT
-from rig_cli.options import Json, Settings
+from rig_cli.options import Json, RigFile, Settings
 from rig_configs import RigFileError, load_rig
 
 app: App = App(
@@ -23,6 +23,7 @@ app: App = App(
     "ends it.\n\nExample: `rig virtual`",
 )
 
+DeviceName = Annotated[str, Parameter(help="its name in the rig file")]
 Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]
 _SLOWLY_RPM_S = 20.0
 
@@ -46,14 +47,14 @@ _NO_PARENT = ParentProcess()
 
 @app.default
 def start(
-    rig: str = "virtual",
+    rig: RigFile = "virtual",
     *,
     output: Annotated[
         Path | None,
         Parameter(name=["--output", "-o"], group=OUTPUT, help="write its rig file: these ports, without [virtual]"),
     ] = None,
     time_scale: TimeScale = 1.0,
-    link: Literal["auto", "pty", "tcp"] = "auto",
+    link: Annotated[Literal["auto", "pty", "tcp"], Parameter(help="wires of its devices")] = "auto",
     control: Control = None,
     settings: Settings = None,
     parent: ParentProcess = _NO_PARENT,
@@ -145,7 +146,7 @@ def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
 
 @app.command
 def pluck(
-    axis: Literal["x", "y"],
+    axis: Annotated[Literal["x", "y"], Parameter(help="of the sensors")],
     *,
     mm: Annotated[Positive | None, Parameter(help="how far; default: as a ring-down requires")] = None,
     control: Control = None,
@@ -186,7 +187,7 @@ def clamp(
 
 @app.command
 def turn(
-    rpm: float,
+    rpm: Annotated[float, Parameter(help="speed to be reached")],
     *,
     ramp: Annotated[Positive, Parameter(help="rpm per second")] = _SLOWLY_RPM_S,
     control: Control = None,
@@ -201,7 +202,9 @@ def turn(
 
 
 @app.command(name="set")
-def set_(setting: str, *, control: Control = None, json: Json = False) -> None:
+def set_(
+    setting: Annotated[str, Parameter(help="KEY=VALUE of the rig file")], *, control: Control = None, json: Json = False
+) -> None:
     """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%.
 
     Example: `rig virtual set suspension.k2_N_per_m=+5%`
@@ -272,7 +275,7 @@ def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]
 
 
 @app.command
-def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
+def unplug(device: DeviceName, *, control: Control = None, json: Json = False) -> None:
     """Pull a device's cable.
 
     Example: `rig virtual unplug laser_x`
@@ -283,7 +286,7 @@ def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
 
 
 @app.command
-def plug(device: str, *, control: Control = None, json: Json = False) -> None:
+def plug(device: DeviceName, *, control: Control = None, json: Json = False) -> None:
     """Plug a device in again; its port may have another name now.
 
     Example: `rig virtual plug laser_x`

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cyclopts import App
@@ -79,12 +80,18 @@ def test_the_help_of_a_command_has_one_example_that_it_accepts(
     commands(words[1:]).parse_args(words[1:], exit_on_error=False, print_error=False)
 
 
-def test_the_documented_reference_has_the_same_groups() -> None:
+def documented() -> Any:
+    """The module that makes docs/commands.md."""
     spec = importlib.util.spec_from_file_location("command_reference", DOCS / "_ext/command_reference.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+def test_the_documented_reference_has_the_same_groups() -> None:
+    module = documented()
     reference = module.reference()
     expected: list[str] = []
     for title, group in GROUPS.items():
@@ -112,3 +119,10 @@ def test_no_group_of_options_is_longer_than_a_glance(capsys: pytest.CaptureFixtu
 def test_the_options_of_a_test_stand_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
     titles = re.findall(r"^╭─ (.+?) ─", shown(capsys, "test"), re.MULTILINE)
     assert titles == ["Parameters", "Numbers of the test", "Displays", "Numbers of the rig", "Output"]
+
+
+def test_every_argument_has_a_description() -> None:
+    rows = re.findall(r"^(#+ rig .*|\* `[^`]*`(?:: .*)?)$", documented().reference(), re.MULTILINE)
+    bare = [row for row in rows if re.fullmatch(r"\* `[^`]*`:?( *\*+\[.*?\]\*+)*", row)]
+    assert len(rows) > 200
+    assert bare == []
