@@ -68,9 +68,9 @@ def identify(
     from rig_cli import results  # scipy and numba take seconds to import
     from rig_cli.parameters import limit_json
 
-    places = logs_of("rig identify", logs)
     check_outputs("rig identify: -o", output, force=force)
     held = _held_back(without or [])
+    places = logs_of("rig identify", logs)
     part = TimeSpan(span.from_s, span.to_s)
     runs, unused = readable_runs(places, part)
     loaded = rig_of_logs([run.source for run in runs], RigUse("rig identify"), rig, settings=settings or [])
@@ -166,10 +166,10 @@ def validate(
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from studies.validated_runs import keep_verdicts, validated
 
+    _check_validation(report, force)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
     places = logs_of("rig validate", logs, "RIG LOG|FOLDER…")
-    _check_validation(report, force)
     identified = IdentifiedParameters.load(parameters)
     changed = overridden(identified, settings or [])
     known = identified.without(changed)
