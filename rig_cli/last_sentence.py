@@ -113,3 +113,20 @@ def _release_words(end: str, result: Mapping[str, Any]) -> str:
     kind = _KINDS.get(end, "the only motion")
     verb = "balance the rotor" if end == "I" else f"settle in {kind}, which does not balance the rotor,"
     return f"released pendulums {verb} after {first['after_s']:.3g} s; {amplitude}"
+
+
+def validation_sentence(points: Mapping[str, Mapping[str, Any]], passed: bool) -> str:
+    """Return whether the points pass, or those that do not, the first with its reason.
+
+    Args:
+        points: as in the JSON object of `rig validate`.
+        passed: whether the whole validation passed.
+    """
+    missed = {name: point for name, point in points.items() if point["verdict"] != "pass"}
+    if missed:
+        name, point = next(iter(missed.items()))
+        share = f"{len(missed)} of {number_of(len(points), 'point')} {'does' if len(missed) == 1 else 'do'} not pass"
+        others = f" ({', '.join(missed)})" if len(missed) > 1 else ""
+        return _ended(f"{share}{others}: {name}: {point['verdict']}, {point['why']}")
+    fine = f"{', '.join(points)} {'passes' if len(points) == 1 else 'pass'}" if points else "No point was compared"
+    return f"{fine}." if passed or not points else f"{fine}, but the whole validation does not; the reason is above."

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
-from rig_cli.last_sentence import identify_sentence
+from rig_cli.last_sentence import identify_sentence, validation_sentence
 from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.option_groups import AXIS_ANGLE, OUTPUT
 from rig_cli.options import (
@@ -271,6 +271,7 @@ def _print_validation(found: Validation, what_if: list[str]) -> None:
     for line in whole_lines(result):
         show(line)
     print_points(result["points"])
+    show(validation_sentence(result["points"], found.passed))
 
 
 def print_points(points: dict[str, Any]) -> None:

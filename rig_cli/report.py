@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import notify, print_json, status_line
+from rig_cli.console import notify, print_json, show, status_line
+from rig_cli.last_sentence import validation_sentence
 from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, check_outputs
@@ -74,6 +75,8 @@ def report(
     if validation is not None:
         print_points(validation.to_json()["points"])
     notify(f"written to {page}, its numbers to {numbers.name}")
+    if validation is not None:
+        show(validation_sentence(validation.to_json()["points"], passed))
     return 0 if passed else 1
 
 

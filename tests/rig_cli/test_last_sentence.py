@@ -12,7 +12,13 @@ import pytest
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.guided_tests.runner import TestDone
 from rig_cli.guided_test_result import result_sentence
-from rig_cli.last_sentence import check_sentence, identify_sentence, number_of, predict_sentence
+from rig_cli.last_sentence import (
+    check_sentence,
+    identify_sentence,
+    number_of,
+    predict_sentence,
+    validation_sentence,
+)
 from rig_cli.main import run
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
@@ -96,6 +102,21 @@ def predicted(*ends: str, states: tuple[tuple[str, bool, float], ...] = (("I", T
 )
 def test_a_prediction_ends_with_what_will_happen(result: dict[str, Any], expected: str) -> None:
     assert predict_sentence(result) == expected
+
+
+def judged(**verdicts: str) -> dict[str, dict[str, Any]]:
+    return {name: {"verdict": verdict, "why": "θ3 differs by 4.1 std"} for name, verdict in verdicts.items()}
+
+
+def test_a_validation_ends_with_the_points_that_do_not_pass() -> None:
+    assert validation_sentence(judged(A="pass", B="pass"), passed=True) == "A, B pass."
+    assert validation_sentence(judged(B="pass"), passed=True) == "B passes."
+    one = validation_sentence(judged(A="pass", B="fail"), passed=False)
+    assert one == "1 of 2 points does not pass: B: fail, θ3 differs by 4.1 std."
+    two = validation_sentence(judged(A="fail", B="not settled", C="pass"), passed=False)
+    assert two == "2 of 3 points do not pass (A, B): A: fail, θ3 differs by 4.1 std."
+    assert "whole validation does not" in validation_sentence(judged(A="pass"), passed=False)
+    assert validation_sentence({}, passed=False) == "No point was compared."
 
 
 def test_the_sentence_is_the_last_line_of_a_prediction_and_not_in_its_json(capsys: pytest.CaptureFixture[str]) -> None:
