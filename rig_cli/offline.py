@@ -91,7 +91,8 @@ def identify(
     for warning in found.warnings:
         notify(f"warning: {warning}")
     notify(f"written to {output}")
-    show(identify_sentence(parameters, len(runs), found.warnings, output))
+    used = {source for estimate in found.estimates for source in estimate.sources}
+    show(identify_sentence(parameters, len(used), found.warnings, output))
     return 0
 
 

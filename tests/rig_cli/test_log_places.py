@@ -13,6 +13,7 @@ import pytest
 from rig_cli.log_places import logs_of
 from rig_cli.main import run
 from rig_configs import RigFileError
+from tests.daq.small_log import write_small_log
 from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
 from tests.rig_cli.test_validate import known
 
@@ -73,6 +74,10 @@ def test_identify_takes_a_folder(capsys: pytest.CaptureFixture[str], campaign: P
     assert any("a-broken.mcap" in text for text in of_folder["warnings"])
     code, named = answer(capsys, "identify", campaign / "logs/b.mcap", "-o", tmp_path / "named.toml")
     assert (code, named["parameters"]) == (0, of_folder["parameters"])
+    capsys.readouterr()
+    small = write_small_log(tmp_path / "small.mcap")  # of no kind of test
+    assert run(["identify", str(campaign), str(small), "-o", str(tmp_path / "two.toml")]) == 0
+    assert "identified from 1 log," in capsys.readouterr().out.splitlines()[-1]
     broken = campaign / "logs/a-broken.mcap"
     assert (
         answer(capsys, "identify", campaign, broken, "-o", tmp_path / "no.toml")[0] == 2
