@@ -45,6 +45,9 @@ napoleon_numpy_docstring = False
 napoleon_custom_sections = [("Source", "notes_style")]
 python_use_unqualified_type_names = True
 
+# Comment in docs/commands.md that is replaced by the commands in their groups.
+OVERVIEW_MARK = "% The commands of `rig --help` are inserted here."
+
 _CODE = re.compile(r"(``?)(.+?)\1")
 
 
@@ -76,14 +79,12 @@ def _process_docstring(app: Any, what: str, name: str, value: Any, options: Any,
 
 
 def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
-    """Append the options of every command to the page "commands"."""
+    """Add the commands in their groups, and the options of every command, to the page "commands"."""
     if docname != "commands":
         return
-    from command_reference import APP  # imports every command
+    from command_reference import overview, reference  # imports every command
 
-    text = APP.generate_docs(output_format="markdown", heading_level=2)
-    commands = text[text.index("\n### rig ") :]
-    source[0] += re.sub(r"\*(?=\d)", r"\\*", commands)
+    source[0] = source[0].replace(OVERVIEW_MARK, overview()) + reference()
 
 
 def _require_wheel(app: Any) -> None:

@@ -20,20 +20,22 @@ from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.transports import HostClock
 from rig_cli.check_page import print_checks
-from rig_cli.console import notify, print_json
+from rig_cli.console import notify, print_json, show
 from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.last_sentence import check_sentence
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
-from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
+from rig_cli.option_groups import OUTPUT
+from rig_cli.options import Json, RigFile, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
 from rig_cli.share_progress import share_progress
 from rig_configs import load_rig
 
 
 def check(
-    rig: str,
+    rig: RigFile,
     *,
-    seconds: LookSeconds = 10.0,
+    seconds: Annotated[LookSeconds, Parameter(help="how long the devices are observed, rig time")] = 10.0,
     tap: Annotated[
         bool, Parameter(negative="", help="then tap the disk by hand along +x and +y: are the lasers in their places?")
     ] = False,
@@ -44,7 +46,12 @@ def check(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Validate a rig file, open its devices, compare them with the file; exit 3 when a device fails a check."""
+    """Compare the devices of a rig with its rig file: identities, rates, faults.
+
+    The exit code is 3 if a device fails a check.
+
+    Example: `rig check my.toml`
+    """
     loaded = load_rig(rig, settings=settings or [])
     warnings = warn_of_unusual_settings(loaded)
     session = Session(loaded, HostClock(time_scale))
@@ -84,6 +91,7 @@ def check(
         )
     else:
         print_checks(devices, session.identities, look.seconds)
+        show(check_sentence(devices, session.rotor_warning))
     return 0 if good and not session.rotor_warning else 3
 
 
@@ -120,7 +128,7 @@ class RecordingOptions:
         note: the operator's note.
     """
 
-    output: Annotated[Path, Parameter(name=["--output", "-o"])]
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)]
     duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None
     listen: Annotated[
         bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")
@@ -140,7 +148,12 @@ def record(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    """Record every device of a rig, and show rates, losses and the disk.
+
+    The recording ends with Ctrl-C, after --duration, or with --until-silent when no device sends data.
+
+    Example: `rig record my.toml -o run.mcap --duration 60`
+    """
     output, listen, note = recording.output, recording.listen, recording.note
     loaded, identities = load_rig_or_log(rig, settings or [])
     warn_of_unusual_settings(loaded)

@@ -17,7 +17,8 @@ from rig_basics.whole_file import written_whole
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.option_groups import OUTPUT, RELEASES
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 _MOST = 1_000_000
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=RELEASES)
 @dataclass(frozen=True)
 class BasinReleases:
     """Releases of a basin map, and of rigs drawn from the parameters.
@@ -53,7 +54,7 @@ class BasinReleases:
     play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True)
 class BasinFiles:
     """Files of a basin map; None: not written.
@@ -64,7 +65,9 @@ class BasinFiles:
         force: whether existing files are replaced.
     """
 
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None
+    output: Annotated[
+        Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="write the arrays as .npz")
+    ] = None
     plot: Plot = None
     force: Force = False
 
@@ -73,7 +76,7 @@ _DEFAULT_RELEASES, _NO_FILES = BasinReleases(), BasinFiles()
 
 
 def basins(
-    rig: str,
+    rig: RigFile,
     *,
     speed: SpeedChoice = NO_SPEED,
     releases: BasinReleases = _DEFAULT_RELEASES,
@@ -83,11 +86,13 @@ def basins(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Where releases end, over the angles at which the locks hold the pendulums.
+    """Map where releases end, over the angles at which the locks hold the pendulums.
 
     An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
     followed until it is within the domain of attraction of a stable motion. Cells whose end changes within the stated
     error are marked as boundaries.
+
+    Example: `rig basins my.toml --point B`
     """
     _check(releases, files)
     numbers = _grid(releases.grid)

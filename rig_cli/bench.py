@@ -18,6 +18,7 @@ from rich.text import Text
 
 from rig_basics.whole_file import write_whole_text
 from rig_cli.console import StepProgress, plain, print_json, wait_for_compilation
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json
 from rig_configs import load_rig
 
@@ -60,11 +61,16 @@ def bench(
     ] = False,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="write table (.md, .json) and figure (.svg) into a directory"),
+        Parameter(
+            name=["--output", "-o"], group=OUTPUT, help="write table (.md, .json) and figure (.svg) into a directory"
+        ),
     ] = None,
     json: Json = False,
 ) -> int:
-    """Time against true error for every method on offer, with peers in the same run."""
+    """Measure time against true error for every method, with peers in the same run.
+
+    Example: `rig bench dynamics`
+    """
     started = time.monotonic()
     found = _dynamics(quick) if what == "dynamics" else _identification(quick)
     files: list[str] = []

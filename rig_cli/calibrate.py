@@ -31,14 +31,15 @@ from rig_cli.calibrated_rig_file import name_of_record, old_values, write_record
 from rig_cli.console import notify, print_json
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
-from rig_cli.options import Json, Settings, check_outputs, warn_of_unusual_settings
+from rig_cli.option_groups import CLOSINGS, POSITIONS
+from rig_cli.options import Json, RigFile, Settings, check_outputs, warn_of_unusual_settings
 from rig_configs import RigFileError
 from rig_configs.device import DisplacementSettings
 from rig_configs.load import rig_from_text, rig_text, validate
 from rig_configs.schema import Rig
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=POSITIONS)
 @dataclass(frozen=True)
 class Positions:
     """Known positions of a sensor's target.
@@ -78,7 +79,7 @@ class Positions:
         return SensorSetup(self.toward, self.at_disk, self.seconds, zero)
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=CLOSINGS)
 @dataclass(frozen=True)
 class Closings:
     """How the encoders are calibrated.
@@ -132,8 +133,8 @@ class _Outcome:
 
 
 def calibrate(
-    rig: str,
-    device: str,
+    rig: RigFile,
+    device: Annotated[str, Parameter(help="its name in the rig file")],
     *,
     positions: Positions = _POSITIONS,
     closings: Closings = _CLOSINGS,
@@ -141,7 +142,12 @@ def calibrate(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks; exit 1 when refused."""
+    """Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks.
+
+    The exit code is 1 if the calibration is refused.
+
+    Example: `rig calibrate my.toml laser_x --block "-4, 0, 4 mm ± 1 µm"`
+    """
     source, text = rig_text(rig)
     loaded = rig_from_text(source, text, settings=settings or [])
     kind = _kind(loaded, device)

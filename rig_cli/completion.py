@@ -17,6 +17,8 @@ def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> 
 
     fish: rig completion fish > ~/.config/fish/completions/rig.fish
 
+    Example: `rig completion bash`
+
     Args:
         shell: the shell.
     """

@@ -28,7 +28,8 @@ from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_test import ending_words, run_test
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, Settings
+from rig_cli.option_groups import OUTPUT, SIMULATION
+from rig_cli.options import Json, RigFile, Settings
 from rig_cli.simulated import VirtualRigProcess
 from rig_cli.validation_page import whole_lines
 from rig_cli.workbench import Workbench
@@ -54,7 +55,7 @@ class TruthChange:
     step: str
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=SIMULATION)
 @dataclass(frozen=True)
 class Simulation:
     """How the virtual rig is run.
@@ -93,14 +94,21 @@ _DEFAULT = Simulation()
 
 def demo(
     *,
-    rig: str = "virtual",
-    out: Path = Path("out/demo"),
+    rig: RigFile = "virtual",
+    out: Annotated[Path, Parameter(group=OUTPUT, help="folder of logs and report; a new one each time")] = Path(
+        "out/demo"
+    ),
     simulation: Simulation = _DEFAULT,
     settings: Settings = None,
     displays: Displays = TERMINAL_ONLY,
     json: Json = False,
 ) -> int:
-    """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
+    """Record, identify, validate and report a whole campaign on the virtual rig.
+
+    The tests run through the real drivers.
+
+    Example: `rig demo`
+    """
     started = time.monotonic()
     seed = simulation.seed
     changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])

@@ -36,9 +36,11 @@ def devices(
     list_only: Annotated[bool, Parameter(negative="", help="list the ports, open none of them")] = False,
     json: Json = False,
 ) -> int:
-    """List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is sent.
+    """List the ports and the devices on them, with tables to paste into a rig file.
 
-    The exit code is 3 if a port that --port names cannot be opened.
+    Without --ask no byte is sent. The exit code is 3 if a port that --port names cannot be opened.
+
+    Example: `rig devices --ask`
     """
     from daq.discovery.ports import can_channels, serial_ports, usb_can_adapters
     from daq.discovery.trials import drivers_found

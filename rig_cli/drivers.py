@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 from pydantic import ValidationError
 
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import StepProgress, notify, print_json
 from rig_cli.options import Json
 from rig_configs.drivers import installed, load_driver
@@ -22,12 +23,15 @@ if TYPE_CHECKING:
 
 _THOROUGH_WEIGHT = 300.0  # of the test with 10⁶ inputs in the bar of progress
 
-app: App = App(name="driver", help="List the installed drivers, check one against what every driver must do.")
+app: App = App(name="driver", help=f"{COMMANDS['driver'].sentence}\n\nExample: `rig driver check optoncdt`")
 
 
 @app.command(name="list")
 def list_(*, json: Json = False) -> int:
-    """List the installed drivers: their package and the roles of their devices."""
+    """List the installed drivers: their package and the roles of their devices.
+
+    Example: `rig driver list`
+    """
     found = [_facts(name, point) for name, point in installed().items()]
     if json:
         print_json({"drivers": found})
@@ -48,6 +52,8 @@ def check(
     json: Json = False,
 ) -> int:
     """Run the tests that every driver must pass on one driver, with its simulated device; exit 1 when one fails.
+
+    Example: `rig driver check optoncdt`
 
     Args:
         name: as in `driver = "…"` of a rig file; or PACKAGE:NAME, where PACKAGE is the package it is installed from, or

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show
+from rig_cli.option_groups import COLUMNS, LOG_PART, OUTPUT, RECORDING
 from rig_cli.options import WHOLE_LOG, Json, LogSpan, Settings
 from rig_cli.share_progress import share_progress
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 def export(
     log: Path,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
     format: Literal["parquet", "csv", "mat", "hdf5"] | None = None,
     channels: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
     span: LogSpan = WHOLE_LOG,
@@ -33,6 +34,8 @@ def export(
     The format is the ending of OUTPUT's name. Parquet and csv contain one table per file: several channels become
     OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json next to them. Mat and hdf5 contain
     everything in one file.
+
+    Example: `rig export run.mcap -o run.parquet`
 
     Parameters
     ----------
@@ -80,7 +83,7 @@ def _print_export(done: Exported) -> None:
         notify(f"written to {file}")
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True)
 class ImportColumns:
     """Columns of the recording, as NAME:UNIT.
@@ -108,7 +111,7 @@ class ImportColumns:
     speed: str | None = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=RECORDING)
 @dataclass(frozen=True)
 class ImportFacts:
     """What the file does not contain about its recording.
@@ -139,8 +142,8 @@ class ImportFacts:
     clock_tolerance_ppm: float | None = None
     recorder: str = ""
     decimal: Literal[".", ","] | None = None
-    from_s: Annotated[float | None, Parameter(name="--from", allow_leading_hyphen=True)] = None
-    to_s: Annotated[float | None, Parameter(name="--to", allow_leading_hyphen=True)] = None
+    from_s: Annotated[float | None, Parameter(name="--from", group=LOG_PART, allow_leading_hyphen=True)] = None
+    to_s: Annotated[float | None, Parameter(name="--to", group=LOG_PART, allow_leading_hyphen=True)] = None
 
 
 _NO_COLUMNS, _NO_FACTS = ImportColumns(), ImportFacts()
@@ -149,7 +152,7 @@ _NO_COLUMNS, _NO_FACTS = ImportColumns(), ImportFacts()
 def import_(
     file: Path,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)],
     rig: str,
     columns: ImportColumns = _NO_COLUMNS,
     facts: ImportFacts = _NO_FACTS,
@@ -163,6 +166,8 @@ def import_(
     rad deg rev, rad/s rpm Hz deg/s, with a minus sign for an axis that points the other way, or a number that turns
     the value into m, rad, s or rad/s; it may be left out if the name ends in it (displacement_m). A column with
     times of its own is NAME:UNIT@TIME:UNIT. Empty cells are not samples; gaps are counted and never filled.
+
+    Example: `rig import old.csv -o old.mcap --rig my.toml --test ring-down-x --time t:ms --x disp1:mm`
 
     Parameters
     ----------

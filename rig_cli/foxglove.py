@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from rig_cli import answer
 from rig_cli.console import notify
+from rig_cli.option_groups import DISPLAYS
 from rig_configs import RigFileError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s?#A-Z*]+")
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=DISPLAYS)
 @dataclass(frozen=True)
 class Foxglove:
     """Options of the connection.

@@ -18,14 +18,24 @@ from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
 from daq.guided_tests.test_inputs import requested_test
 from daq.transports import HostClock
-from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.console import notify, print_json, show, wait_for_compilation
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
 from rig_cli.guided_test_page import TestPage
+from rig_cli.guided_test_result import result_sentence
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings, what_if_words
+from rig_cli.option_groups import TEST_NUMBERS
+from rig_cli.options import (
+    Json,
+    ParametersPath,
+    RigFile,
+    Settings,
+    warn_of_filled,
+    warn_of_unusual_settings,
+    what_if_words,
+)
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
@@ -35,7 +45,7 @@ if TYPE_CHECKING:
     from rig_cli.tracking import LiveTracking
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=TEST_NUMBERS)
 @dataclass(frozen=True)
 class TestNumbers:
     """Numbers of a test. None: the test's own default.
@@ -106,9 +116,9 @@ _DEFAULT_NUMBERS, _DEFAULT_RUN = TestNumbers(), TestRun()
 
 
 def test(
-    rig: str,
+    rig: RigFile,
     name: Annotated[str | None, Parameter(help="a test; without one: tests of the rig, and which are missing")] = None,
-    point: str | None = None,
+    point: Annotated[str | None, Parameter(help="name of a point of the rig file, of tests that need one")] = None,
     *,
     options: TestRun = _DEFAULT_RUN,
     numbers: TestNumbers = _DEFAULT_NUMBERS,
@@ -116,11 +126,14 @@ def test(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.
+    """Run one guided test, show its plan, or list the tests that a rig still needs.
 
-    The tests are ring-down-x, ring-down-y, spin-down, run-up, run-down, point NAME, start-ups NAME, and those of
-    installed packages. While one runs in a terminal, p pauses it where the rig may wait, r resumes, a aborts it (the
-    log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter writes to the log.
+    Without a name it lists what the rig can do and what is missing. The tests are ring-down-x, ring-down-y,
+    spin-down, run-up, run-down, point NAME, start-ups NAME, and those of installed packages. While one runs in a
+    terminal, p pauses it where the rig may wait, r resumes, a aborts it (the log is kept, the rotor comes to rest,
+    exit code 1), n begins a note that Enter writes to the log.
+
+    Example: `rig test my.toml ring-down-x`
     """
     parameters = options.parameters
     known = None if parameters is None else IdentifiedParameters.load(parameters)
@@ -251,6 +264,7 @@ def _show(done: TestDone, notices: list[str], tracked: dict[str, Any], as_json: 
         for line in _counts(done):
             notify(line)
         notify(f"{done.log}: {ending_words(done)}")
+        show(result_sentence(done))
     return 3 if notices else 1 if done.missed else 0
 
 

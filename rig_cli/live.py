@@ -17,6 +17,7 @@ from rig_cli import answer
 from rig_cli.console import notify
 from rig_cli.foxglove import NOT_OFFERED, Foxglove, follow_session, foxglove_of_log, foxglove_of_session
 from rig_cli.numbers import TimeScale
+from rig_cli.option_groups import DISPLAYS
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
 
@@ -30,7 +31,7 @@ Host = Annotated[str, Parameter(help="admit other machines: the name or address 
 Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=DISPLAYS)
 @dataclass(frozen=True)
 class PagePlace:
     """Address of the page of `rig live`.
@@ -47,7 +48,7 @@ class PagePlace:
 _LOCAL = PagePlace()
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=DISPLAYS)
 @dataclass(frozen=True)
 class Displays:
     """Displays of a running session besides the terminal.
@@ -88,10 +89,13 @@ def live(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Show a rig or a log in the browser, with a stop button; access needs its token.
+    """Show a rig or a log in the browser, with a stop button.
 
-    Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
-    page has a stop button. With --json the first line is {"url", "token"}.
+    Access to the page needs its token. Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened
+    and watched, and nothing is recorded; its page has a stop button. With --json the first line is {"url",
+    "token"}.
+
+    Example: `rig live run.mcap`
     """
     if source.endswith((".mcap", ".mcap.part")):
         return _log(Path(source), place, speed, parameters, foxglove, settings or [], json)

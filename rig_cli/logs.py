@@ -14,6 +14,7 @@ from cyclopts import Parameter
 from daq.catalogue.query import Query, Sort, parse_instant
 from rig_cli.console import notify, print_json
 from rig_cli.log_table import print_logs
+from rig_cli.option_groups import CONDITIONS
 from rig_cli.options import Force, Json, check_outputs
 from rig_cli.share_progress import share_progress
 from rig_cli.words import local_time
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative="")]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=CONDITIONS)
 @dataclass(frozen=True)
 class LogFilter:
     """Conditions on the listed logs. Empty ones admit every log.
@@ -100,6 +101,8 @@ def logs(
 ) -> int:
     """List the logs of a folder and of the folders below it, newest first.
 
+    Example: `rig logs out spin-down`
+
     Args:
         folder: where the logs are.
         words: each must be in the rig's name, test, point, note or file name.
@@ -145,9 +148,12 @@ def log(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
+    """Show what is in one log, and check every byte of it.
 
-    Losses of a recovered log that occurred before its recovery are listed, but are no damage of this file.
+    The exit code is 1 if the file is cut or damaged. Losses of a recovered log that occurred before its recovery
+    are listed, but are no damage of this file.
+
+    Example: `rig log run.mcap`
 
     Args:
         log: the log, finished or not.

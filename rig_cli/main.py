@@ -11,9 +11,8 @@ import sys
 from collections.abc import Collection, Sequence
 from contextlib import nullcontext
 from errno import EDQUOT, EFBIG, ENOSPC, EPIPE
-from keyword import iskeyword
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Group
 
 from daq.errors import AcquisitionError, LogError, OperatorStop
 from dynamics.compiled_code import keep_compiled_code
@@ -22,87 +21,17 @@ from reproduction.errors import ReproductionError, UnknownItem
 from rig_basics.errors import RigError
 from rig_basics.log_output import show_log
 from rig_cli import answer, crash
+from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
-from rig_cli.numbers import NUMBERS_ARE_FINITE
+from rig_cli.numbers import EVERY_OPTION
 from rig_cli.signals import end_at_next_signal, interrupt_at_signals
 from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
-_VERBS = {  # modules are imported when their verb is called: `rig --help` and `rig predict` start without the drivers
-    "rig_cli.demo": {
-        "demo": "A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, "
-        "reported.",
-    },
-    "rig_cli.acquire": {
-        "check": "Validate a rig file, open its devices, compare them with the file; exit 3 when a device fails a "
-        "check.",
-        "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
-        "the disk.",
-    },
-    "rig_cli.calibrate": {
-        "calibrate": "Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks; exit 1 "
-        "when refused.",
-    },
-    "rig_cli.devices": {
-        "devices": "List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is "
-        "sent.",
-    },
-    "rig_cli.guided_test": {
-        "test": "Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.",
-    },
-    "rig_cli.offline": {
-        "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
-        "validate": "Compare steady states and releases at points with the model; exit 1 when a point does not pass.",
-    },
-    "rig_cli.report": {
-        "report": "Write the report of a campaign's logs, at any time; exit 1 when a point fails.",
-    },
-    "rig_cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
-    "rig_cli.plot": {
-        "plot": "Draw logs: orbit, Bode, polar, waterfall and more, the model with what was measured.",
-    },
-    "rig_cli.logs": {
-        "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
-        "damaged.",
-        "logs": "List the logs of a folder and of the folders below it, newest first.",
-    },
-    "rig_cli.replay": {"replay": "Decode a log's raw bytes again through the same pipelines."},
-    "rig_cli.live": {"live": "Show a rig or a log in the browser, with a stop button; access needs its token."},
-    "rig_cli.recover": {
-        "recover": "Make a cut or damaged log whole: a new file of its intact part; lists what is missing.",
-    },
-    "rig_cli.exchange": {
-        "export": "Write a log's channels for other programs: parquet, csv, MATLAB/Octave, hdf5.",
-        "import": "Make a log of a csv, parquet, mat or hdf5 file recorded elsewhere.",
-    },
-    "rig_cli.model": {
-        "predict": "Steady states, stability and amplitudes at a point or a speed, and where a release ends.",
-    },
-    "rig_cli.react": {
-        "react": "How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is "
-        "balanced again.",
-    },
-    "rig_cli.basins": {"basins": "Where releases end, over the angles at which the locks hold the pendulums."},
-    "rig_cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
-    "rig_cli.plan": {
-        "plan": "List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate; exit 1 when "
-        "none can.",
-    },
-    "rig_cli.completion": {
-        "completion": "Print the script with which a shell completes commands and options of rig.",
-    },
-    "rig_cli.reproduce": {
-        "reproduce": "Reproduce figures and tables of the source and judge its claims.",
-    },
-    "rig_cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
-}
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
-_PARAMETERS = "Show identified parameters, compare them, follow them over time."
-_DRIVER = "List the installed drivers, check one against what every driver must do."
 _LOG_LEVEL = "--log-level"
-_STUDY = "Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
-_VIRTUAL = "Start a virtual rig; operate it from another terminal."
+_THIS_PROGRAM = Group("This program", sort_key=len(GROUPS))
 _USE_COMPILED = {
     "check",
     "devices",
@@ -128,25 +57,24 @@ def commands(loaded: Collection[str] = ()) -> App:
     """Return the command line.
 
     Args:
-        loaded: verbs whose modules are imported for their full help. The help of the others is the line given here.
+        loaded: commands whose modules are imported for their full help. The help of the others is their sentence.
     """
     app = App(
         name="rig",
         suppress_keyboard_interrupt=False,
-        default_parameter=NUMBERS_ARE_FINITE,
+        default_parameter=EVERY_OPTION,
         version=_version,
         help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.\n\n"
         "Every command takes --log-level LEVEL (debug, info, warning or error): lines about what the software does and "
         "which errors it ignores, on standard error.",
     )
-    for module, verbs in _VERBS.items():
-        for verb, line in verbs.items():
-            place = f"{module}:{verb}{'_' if iskeyword(verb) else ''}"
-            app.command(place, name=verb, help=None if verb in loaded else line)
-    app.command("rig_cli.parameters:app", name="parameters", help=None if "parameters" in loaded else _PARAMETERS)
-    app.command("rig_cli.virtual:app", name="virtual", help=None if "virtual" in loaded else _VIRTUAL)
-    app.command("rig_cli.studies:app", name="study", help=None if "study" in loaded else _STUDY)
-    app.command("rig_cli.drivers:app", name="driver", help=None if "driver" in loaded else _DRIVER)
+    for number, (title, group) in enumerate(GROUPS.items()):
+        panel = Group(title, sort_key=number)
+        for place, (name, command) in enumerate(group.items()):
+            line = None if name in loaded else command.sentence  # the module is imported when its command is called
+            app.command(command.place, name=name, help=line, group=panel, sort_key=place)
+    for flag in ("--help", "--version"):
+        app[flag].group = (_THIS_PROGRAM,)
     return app
 
 

@@ -13,7 +13,8 @@ from rig_cli.console import notify, plain, print_json, wait_for_compilation
 from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import PositiveSeconds
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled
+from rig_cli.option_groups import OUTPUT, PLANE, WORK
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
 from rig_cli.speed import NO_SPEED, SpeedChoice
@@ -25,7 +26,7 @@ _X, _Y = "speed_ratio=0.3:7:400", "stiffness_ratio=1:16:250"
 _X_OF_MOTIONS, _Y_OF_MOTIONS = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=PLANE)
 @dataclass(frozen=True)
 class MapPlane:
     """Axes, quantity and borders of a map.
@@ -64,7 +65,7 @@ class MapPlane:
     ] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=WORK)
 @dataclass(frozen=True)
 class MapWork:
     """How a map is computed.
@@ -84,13 +85,13 @@ class MapWork:
     scheduler: Scheduler = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True)
 class MapFiles:
     """Files of a map; None: not written. force: whether existing files are replaced."""
 
     output: Annotated[
-        Path | None, Parameter(name=["--output", "-o"], help="write the arrays: .npz, .parquet or .zarr")
+        Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="write the arrays: .npz, .parquet or .zarr")
     ] = None
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None
     force: Force = False
@@ -100,7 +101,7 @@ _PLANE, _WORK, _NO_FILES = MapPlane(), MapWork(), MapFiles()
 
 
 def map(
-    rig: str,
+    rig: RigFile,
     *,
     plane: MapPlane = _PLANE,
     work: MapWork = _WORK,
@@ -110,10 +111,12 @@ def map(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Where the balanced state is stable, over any two numbers of the rig file.
+    """Map where the balanced state is stable, over any two numbers of the rig file.
 
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2. If neither axis is a speed, --point, --speed-ratio or --speed-rpm gives it.
+
+    Example: `rig map my.toml --borders`
     """
     with wait_for_compilation("stability map"):
         from analysis.maps.answers import compile_maps  # numba takes a while to load

@@ -11,9 +11,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from rig_basics.units import TO_RPM
-from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.console import notify, print_json, show, wait_for_compilation
+from rig_cli.last_sentence import predict_sentence
 from rig_cli.numbers import Positive
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.option_groups import MODEL, OUTPUT, QUESTIONS
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from dynamics.steady.outcome import ReleaseOutcome
     from dynamics.steady.steady_state import SteadyState, SteadyStates
 
-Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
+Plot = Annotated[Path | None, Parameter(name="--plot", group=OUTPUT, help="write a figure: .svg, .png or .pdf")]
 Sweep = Annotated[
     str | None,
     Parameter(
@@ -47,7 +49,7 @@ AccuracyOrNone = Annotated[
 ]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MODEL)
 @dataclass(frozen=True)
 class PredictModel:
     """Accuracy and model of a prediction.
@@ -61,7 +63,7 @@ class PredictModel:
     at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=QUESTIONS)
 @dataclass(frozen=True)
 class PredictQuestions:
     """Results besides the steady states, or instead of them.
@@ -92,7 +94,7 @@ _DEFAULT_MODEL, _STEADY_STATES = PredictModel(), PredictQuestions()
 
 
 def predict(
-    rig: str,
+    rig: RigFile,
     *,
     speed: SpeedChoice = NO_SPEED,
     model: PredictModel = _DEFAULT_MODEL,
@@ -103,10 +105,13 @@ def predict(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
+    """Predict steady states, stability and amplitudes, and where a release ends.
 
-    --balancing and --lost need no speed. With --parameters all effects of the parameters file are included (a bow,
-    drag, a suspension that depends on the motion), and the sensors' amplitudes include run-out.
+    The speed is that of a point, or is given. --balancing and --lost need no speed. With --parameters all effects
+    of the parameters file are included (a bow, drag, a suspension that depends on the motion), and the sensors'
+    amplitudes include run-out.
+
+    Example: `rig predict my.toml --point B`
     """
     check_outputs("rig predict: --plot", plot, force=force)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
@@ -135,6 +140,7 @@ def predict(
         print(line)
     if settings:
         print(what_if_words(settings))
+    show(predict_sentence(result))
     return 0
 
 
@@ -305,7 +311,8 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
     for line in result["unresolved"]:
         print(f"  not in the list: {line}")
     methods = {s.method.split(":")[0]: s.method for s in reversed(found)}
-    print("stability by " + "; by ".join(methods.values()) if methods else "")
+    if methods:
+        print("stability by " + "; by ".join(methods.values()))
     for line in _release_lines(result["releases_within_play"]):
         print(line)
 

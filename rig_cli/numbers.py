@@ -1,6 +1,6 @@
 """Ranges of numbers on the command line, checked during parsing, before anything is started.
 
-`NUMBERS_ARE_FINITE` is the default of every option of every command. The types below restrict single options further.
+`EVERY_OPTION` is the default of every option of every command. The types below restrict single options further.
 """
 
 from __future__ import annotations
@@ -53,7 +53,12 @@ def between(low: float, high: float, *, low_too: bool = False) -> Callable[[Any,
     return check
 
 
-NUMBERS_ARE_FINITE = Parameter(validator=_finite)
+def _shown_default(value: Any) -> str | None:
+    """Return a default as it is shown in a help text; None for one that only means that the option was not given."""
+    return None if value is None or value is False or value in ("", [], ()) else str(value)
+
+
+EVERY_OPTION = Parameter(validator=_finite, negative_iterable=(), show_default=_shown_default)
 TimeScale = Annotated[
     float,
     Parameter(

@@ -10,7 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, notify, print_json, show
-from rig_cli.options import WHOLE_LOG, Force, Json, LogSpan, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.last_sentence import identify_sentence, validation_sentence
+from rig_cli.log_places import logs_of, readable_runs
+from rig_cli.option_groups import AXIS_ANGLE, OUTPUT
+from rig_cli.options import (
+    WHOLE_LOG,
+    Force,
+    Json,
+    LogSpan,
+    ParametersPath,
+    RigFile,
+    Settings,
+    check_outputs,
+    what_if_words,
+)
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, overridden
@@ -25,9 +38,11 @@ _MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 
 
 def identify(
-    *logs: Path,
+    *logs: Annotated[Path, Parameter(help="logs, and folders of them")],
     rig: Annotated[str | None, Parameter(help="a rig file instead of the logs' own, of the same rig")] = None,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])] = Path("parameters.toml"),
+    output: Annotated[
+        Path, Parameter(name=["--output", "-o"], group=OUTPUT, help="file of the identified parameters")
+    ] = Path("parameters.toml"),
     setting: Annotated[
         Literal["fast", "balanced", "reference"],
         Parameter(help=SETTING_HELP),
@@ -38,34 +53,36 @@ def identify(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.
+    """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs.
 
-    Masses, lengths and calibration are those of the rig file in the logs. Logs of different rigs are refused. With
-    --from and --to the fits take the same part of each log.
+    The result is written to parameters.toml. A folder means its logs, and those one level below. Masses, lengths and
+    calibration are those of the rig file in the logs. Logs of different rigs are refused. With --from and --to the fits
+    take the same part of each log.
+
+    Example: `rig identify out -o after.toml`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.time_span import TimeSpan
-    from daq.log.verdicts import without_verdicts
     from identification import identify as find
     from identification.joint.limits import limits
     from rig_cli import results  # scipy and numba take seconds to import
     from rig_cli.parameters import limit_json
-    from studies.runs import load_runs
 
-    logs = without_verdicts(logs)
-    _need(logs, "rig identify LOG…")
     check_outputs("rig identify: -o", output, force=force)
     held = _held_back(without or [])
-    loaded = rig_of_logs(logs, RigUse("rig identify"), rig, settings=settings or [])
+    places = logs_of("rig identify", logs)
     part = TimeSpan(span.from_s, span.to_s)
-    runs = load_runs(logs, part)
+    runs, unused = readable_runs(places, part)
+    loaded = rig_of_logs([run.source for run in runs], RigUse("rig identify"), rig, settings=settings or [])
     found = find(runs, loaded, STDERR.print, setting=setting, without=held)
     parameters = results.with_version(found.parameters, settings or [], part)
     parameters.save(output)
     limited = limits(found) or []
     if json:
         limited_by = {limit.name: limit_json(limit) for limit in limited}
-        print_json({**results.identification_json(found), "limited_by": limited_by, "file": str(output)})
+        facts = results.identification_json(found)
+        facts["warnings"] = [*unused, *found.warnings]
+        print_json({**facts, "limited_by": limited_by, "file": str(output)})
         return 0
     from rig_cli.parameters_page import limit_lines
 
@@ -74,6 +91,8 @@ def identify(
     for warning in found.warnings:
         notify(f"warning: {warning}")
     notify(f"written to {output}")
+    used = {source for estimate in found.estimates for source in estimate.sources}
+    show(identify_sentence(parameters, len(used), found.warnings, output))
     return 0
 
 
@@ -91,7 +110,7 @@ def _held_back(names: list[str]) -> frozenset[Rung]:
         raise RigFileError(f"rig identify: --without: {error}") from error
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=AXIS_ANGLE)
 @dataclass(frozen=True)
 class AxisAngle:
     """Angle between sensor and stiffness axes, instead of the identified one.
@@ -129,38 +148,39 @@ _IDENTIFIED_ANGLE = AxisAngle()
 
 
 def validate(
-    rig: str,
-    *logs: Path,
+    rig: RigFile,
+    *logs: Annotated[Path, Parameter(help="logs, and folders of them")],
     parameters: ParametersPath = None,
     axis: AxisAngle = _IDENTIFIED_ANGLE,
-    report: Path | None = None,
+    report: Annotated[Path | None, Parameter(group=OUTPUT, help="HTML file of the report")] = None,
     settings: Settings = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
+    """Compare steady states and releases at points with the model.
 
-    With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
+    The exit code is 1 if a point does not pass. With --set it answers a what-if: the settings override rig file and
+    parameters, and no verdict is kept.
+
+    Example: `rig validate my.toml out --parameters parameters.toml`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
-    from daq.log.verdicts import without_verdicts
-    from studies.runs import load_runs
     from studies.validated_runs import keep_verdicts, validated
 
-    logs = without_verdicts(logs)
-    _check_validation(logs, report, force)
+    _check_validation(report, force)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
+    places = logs_of("rig validate", logs, "RIG LOG|FOLDER…")
     identified = IdentifiedParameters.load(parameters)
     changed = overridden(identified, settings or [])
     known = identified.without(changed)
     use = RigUse.relying_on_estimates("rig validate", identified)
-    loaded = rig_of_logs(logs, use, rig, identified, settings or [])
+    runs, unused = readable_runs(places)
+    loaded = rig_of_logs([run.source for run in runs], use, rig, identified, settings or [])
     angle = axis.checked()
     what_if = list(settings or [])
     if angle is not None and known.axis_angle_deg is not None:
         what_if.append(f"axis angle {angle[0]:g} ± {angle[1]:g}°")
-    runs = load_runs(logs)
     found = validated(runs, loaded, known, STDERR.print, angle, changed)
     warnings = _validation_warnings(runs, found)
     if angle is None and known.axis_angle_deg is None:
@@ -169,6 +189,7 @@ def validate(
         warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
         notify(f"warning: {warning}")
+    warnings = [*unused, *warnings]
     if report is not None:
         _write_report(report, _Validated(loaded, runs, known, found, angle, what_if, warnings))
     if json:
@@ -192,13 +213,12 @@ class _Validated:
     warnings: list[str]
 
 
-def _check_validation(logs: tuple[Path, ...], report: Path | None, force: bool) -> None:
-    """Check logs and report before the work.
+def _check_validation(report: Path | None, force: bool) -> None:
+    """Check the report before the work.
 
     Raises:
-        RigFileError, AnalysisError: there is no log, or the report cannot be written.
+        RigFileError, AnalysisError: the report cannot be written.
     """
-    _need(logs, "rig validate RIG LOG…")
     numbers = None if report is None else report.with_suffix(".json")
     check_outputs("rig validate: --report", report, numbers, force=force)
     if report is not None:
@@ -252,14 +272,10 @@ def _print_validation(found: Validation, what_if: list[str]) -> None:
     for line in whole_lines(result):
         show(line)
     print_points(result["points"])
+    show(validation_sentence(result["points"], found.passed))
 
 
 def print_points(points: dict[str, Any]) -> None:
     """Print a line per point with its verdict and reason."""
     for name, point in points.items():
         show(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
-
-
-def _need(logs: tuple[Path, ...], usage: str) -> None:
-    if not logs:
-        raise RigFileError(f"no log given; usage: {usage}")

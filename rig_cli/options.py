@@ -10,21 +10,31 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import notify
+from rig_cli.option_groups import LOG_PART, OUTPUT, RIG_NUMBERS
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.load import apply_setting, parse_setting, set_by, validate
 from rig_configs.parameters_file import filled_remarks
 from rig_configs.schema import Rig
 
+RigFile = Annotated[str, Parameter(help="a rig file, or the name of a shipped rig")]
 Settings = Annotated[
     list[str] | None,
-    Parameter(name="--set", help="key=value over the rig file, e.g. suspension.zeta2=0.05; *1.05 and +5% too"),
+    Parameter(
+        name="--set",
+        group=RIG_NUMBERS,
+        help="key=value over the rig file, e.g. suspension.zeta2=0.05; *1.05 and +5% too",
+    ),
 ]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="one JSON object on standard output")]
-Force = Annotated[bool, Parameter(name="--force", negative="", help="replace existing files of these names")]
-ParametersPath = Annotated[Path | None, Parameter(name="--parameters", help="parameters.toml over the rig file")]
+Json = Annotated[bool, Parameter(name="--json", group=OUTPUT, negative="", help="one JSON object on standard output")]
+Force = Annotated[
+    bool, Parameter(name="--force", group=OUTPUT, negative="", help="replace existing files of these names")
+]
+ParametersPath = Annotated[
+    Path | None, Parameter(name="--parameters", group=RIG_NUMBERS, help="parameters.toml over the rig file")
+]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=LOG_PART)
 @dataclass(frozen=True)
 class LogSpan:
     """Part of a log.

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, check_outputs
 from rig_cli.parameters_budget import budget
 from rig_cli.plan import share
@@ -21,7 +23,10 @@ if TYPE_CHECKING:
     from identification.history import History
     from identification.joint.limits import ParameterLimit
 
-app: App = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
+app: App = App(
+    name="parameters",
+    help=f"{COMMANDS['parameters'].sentence}\n\nExample: `rig parameters diff before.toml after.toml`",
+)
 app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]
@@ -37,6 +42,8 @@ def show(
     json: Json = False,
 ) -> int:
     """Show parameters files: values, uncertainty, what limits them, which tests they came from, correlations.
+
+    Example: `rig parameters show parameters.toml`
 
     Args:
         files: parameters.toml files.
@@ -66,6 +73,8 @@ def diff(
 ) -> int:
     """Compare two parameters files: what changed, by how much, and whether that is significant.
 
+    Example: `rig parameters diff before.toml after.toml`
+
     Args:
         old: the parameters before.
         new: the parameters after.
@@ -89,12 +98,14 @@ def diff(
 def history(
     *places: Path,
     rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
-    plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
+    plot: Annotated[Path | None, Parameter(group=OUTPUT, help="draw it: .svg, .png or .pdf")] = None,
     level: Annotated[Chance, Parameter(help="probability of marking any change if there is none")] = 0.01,
     force: Force = False,
     json: Json = False,
 ) -> int:
     """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.
+
+    Example: `rig parameters history campaigns --plot history.svg`
 
     Args:
         places: parameters files, and folders that are searched for them. A log is included after it is identified.

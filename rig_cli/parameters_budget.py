@@ -95,11 +95,13 @@ def budget(
     level: Level = 0.95,
     monte_carlo: MonteCarloToo = False,
     trials: Trials = None,
-    seed: Annotated[int, Parameter(validator=between(0, 2**31, low_too=True))] = 1,
+    seed: Annotated[int, Parameter(validator=between(0, 2**31, low_too=True), help="of the draws")] = 1,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Show the uncertainty of each parameter, with --rig also of each quantity predicted at the points, by source.
+
+    Example: `rig parameters budget parameters.toml`
 
     Args:
         file: parameters.toml.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from rig_cli.console import STDERR, print_json
+from rig_cli.log_places import logs_of, readable_runs
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -21,12 +22,18 @@ def plan(
     *,
     want: Annotated[list[str] | None, Parameter(help="NAME=VALUE: zeta1=1%, k1=5N/m; again for more")] = None,
     parameters: ParametersPath = None,
-    log: Annotated[list[Path] | None, Parameter(help="a log of these sensors, to measure their noise in")] = None,
+    log: Annotated[
+        list[Path] | None, Parameter(help="a log of these sensors, or a folder of logs, to measure their noise in")
+    ] = None,
     mass_std: Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")] = "0%",
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate; exit 1 when none can.
+    """List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate.
+
+    The exit code is 1 if no experiment reaches it.
+
+    Example: `rig plan my.toml --want zeta1=1%`
 
     Args:
         rig: a rig file, or the name of a shipped one; its parameters are the prior estimates.
@@ -45,10 +52,10 @@ def plan(
     sensors = SensorProperties.of(loaded)
     if log:
         from daq.log.rig_of_logs import RigUse, rig_of_logs
-        from daq.signals.run import load_run
 
-        rig_of_logs(log, RigUse("rig plan --log", facts=False), rig, settings=settings or [])
-        sensors = sensors.as_in([load_run(path) for path in log])
+        runs, _ = readable_runs(logs_of("rig plan --log", log))
+        rig_of_logs([run.source for run in runs], RigUse("rig plan --log", facts=False), rig, settings=settings or [])
+        sensors = sensors.as_in(runs)
     found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))
     if json:
         print_json({"rig": loaded.name, **plan_json(found), "what_if": list(settings or [])})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,12 +10,14 @@ from cyclopts import Parameter
 
 from daq.errors import LogError
 from rig_cli.console import notify, print_json
-from rig_cli.options import Json, Settings, what_if_words
+from rig_cli.log_places import LogPlaces, logs_of
+from rig_cli.option_groups import OUTPUT
+from rig_cli.options import Force, Json, Settings, what_if_words
 from rig_cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, RigFileError
 
 if TYPE_CHECKING:
-    from rig_cli.plotted import Wanted
+    from rig_cli.plotted import Drawn, NotDrawn, Wanted
 
 Kind = Literal[
     "time",
@@ -37,7 +38,7 @@ Kind = Literal[
 
 
 def plot(
-    kind: Kind,
+    kind: Annotated[Kind, Parameter(help="what is drawn; see above")],
     *logs: Path,
     over: Annotated[Path | None, Parameter(help="a second log, drawn over the first")] = None,
     model: Annotated[
@@ -46,14 +47,16 @@ def plot(
     output: Annotated[
         Path | None,
         Parameter(
-            name=["--output", "-o"], help="a figure (.svg, .png, .pdf, .html) or a folder; without: current folder"
+            name=["--output", "-o"],
+            group=OUTPUT,
+            help="a figure (.svg, .png, .pdf, .html) or a folder; without: current folder",
         ),
     ] = None,
-    force: Annotated[bool, Parameter(negative="", help="replace existing figures")] = False,
+    force: Force = False,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Draw logs: orbit, Bode, polar, waterfall and more, the model with what was measured.
+    """Draw logs as orbit, Bode, polar, waterfall and more, with the model.
 
     time: displacements, angles, speed. orbit: path with index mark. dial: pendulum angles. bode, polar: 1× vectors over
     speed. waterfall: spectra over speed. spectrum: full spectrum and power densities. orders: order map. slip: angles
@@ -64,18 +67,18 @@ def plot(
     A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
     name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.
 
+    Example: `rig plot bode out/run-up.mcap`
+
     Args:
         logs: logs, and folders of them; of history parameters files.
     """
-    from rig_cli.plotted import figures_of, logs_in  # matplotlib and numba take seconds to import
+    from rig_cli.plotted import figures_of  # matplotlib and numba take seconds to import
 
-    if not logs:
-        raise RigFileError(f"no log given; usage: rig plot {kind} LOG…")
+    # The history reads folders of parameters files itself.
+    places = LogPlaces(logs) if kind == "history" and logs else logs_of(f"rig plot {kind}", logs)
     known = None if model is None else IdentifiedParameters.load(model)
-    found, of_folders = logs_in(kind, logs)
-    wanted = figures_of(kind, found, over, model, known, settings or [])
-    places = _places(kind, wanted.names, output, force)
-    drawn, left = _draw_all(kind, wanted, places, force)
+    wanted = figures_of(kind, places.logs, over, model, known, settings or [])
+    drawn, left = _draw_all(kind, wanted, _places(kind, wanted.names, output, force), force)
     if json:
         print_json(
             {
@@ -94,40 +97,33 @@ def plot(
             print(f"written to {figure['file']}")
     for each in left:
         notify(f"not drawn: {each.reason}")
-    passed_over = all(each.lacks and each.log in of_folders for each in left)
+    passed_over = all(each.lacks and each.log in places.of_folders for each in left)
     return 0 if drawn and passed_over else 2
-
-
-@dataclass(frozen=True)
-class _NotDrawn:
-    """A log without a figure: the reason, and whether the log only lacks the data that the kind shows."""
-
-    log: Path
-    reason: str
-    lacks: bool
 
 
 def _draw_all(
     kind: Kind, wanted: Wanted, places: Sequence[Path], force: bool
-) -> tuple[list[dict[str, Any]], list[_NotDrawn]]:
+) -> tuple[list[dict[str, Any]], list[NotDrawn]]:
     """Draw all figures; return the JSON of those drawn, and the logs that were not.
 
     Raises:
-        AnalysisError, LogError: from the only log, or from a figure of all logs.
+        AnalysisError, LogError: from the only log, or no log of a figure of all logs can be shown.
     """
     from analysis.errors import NotEnoughData
+    from rig_cli.plotted import not_drawn
 
-    drawn, left = list[dict[str, Any]](), list[_NotDrawn]()
+    drawn: list[dict[str, Any]] = []
+    left: list[NotDrawn] = []
     with share_progress(f"drawing {kind}") as progress:
         for i, (place, draw) in enumerate(zip(places, wanted.draws, strict=True)):
             try:
-                drawn.append(_drawn(place, draw(), force))
+                figure = draw()
+                drawn.append(_drawn(place, figure, force))
+                left += figure.left
             except (NotEnoughData, LogError) as error:
                 if len(wanted.logs) < 2:
                     raise
-                log, reason = wanted.logs[i], str(error)
-                named = reason if log.name in reason else f"{log}: {reason}"
-                left.append(_NotDrawn(log, named, isinstance(error, NotEnoughData)))
+                left.append(not_drawn(wanted.logs[i], error))
             progress((i + 1) / len(places))
     return drawn, left
 
@@ -154,17 +150,17 @@ def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) 
     return found
 
 
-def _drawn(place: Path, figure: tuple[Any, dict[str, Any]], force: bool) -> dict[str, Any]:
+def _drawn(place: Path, figure: Drawn, force: bool) -> dict[str, Any]:
     """Write one figure and return its JSON."""
     from analysis.figures.page import write_figure  # matplotlib
     from daq.exchange.staging import Staging
 
-    drawing, facts = figure
+    facts = figure.facts
     with Staging(force) as staging:
         part = staging.place(place)
         ending = part.with_suffix(place.suffix)  # the format is taken from the ending
         try:
-            write_figure(ending, drawing, str(facts["title"]))
+            write_figure(ending, figure.figure, str(facts["title"]))
             ending.replace(part)
         finally:
             ending.unlink(missing_ok=True)

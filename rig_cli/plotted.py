@@ -10,43 +10,44 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from analysis.errors import NotEnoughData
 from analysis.figures.kinds import KINDS, FigureKind
 from analysis.rig_model import RigModel
+from daq.errors import LogError
 from daq.guided_test_kinds import point_of
 from daq.log import open_log
 from daq.log.rig_of_logs import RigUse, rig_of_logs
-from daq.log.verdicts import without_verdicts
 from daq.signals.run import Run, load_run
 from rig_cli.console import STDERR
 from rig_cli.options import warn_of_filled
 from rig_configs import IdentifiedParameters, Rig, RigFileError, overridden, with_parameters
 
-Drawn = tuple[Figure, dict[str, Any]]
 _LEVEL = 0.01  # probability of marking any change of a parameter if there is none
 
 
-def logs_in(kind: str, places: Sequence[Path]) -> tuple[list[Path], frozenset[Path]]:
-    """Return all logs, those given by name and those in folders or one level below, and the set of the latter.
+@dataclass(frozen=True)
+class NotDrawn:
+    """A log that is in no figure: the reason, and whether the log only lacks the data that the kind shows."""
 
-    Args:
-        kind: one of KINDS; "history" reads folders of parameters files itself.
-    Raises:
-        RigFileError: a folder without logs.
-    """
-    if kind == "history":
-        return list(places), frozenset()
-    logs, of_folders = list[Path](), set[Path]()
-    for place in without_verdicts(places):
-        if not place.is_dir():
-            logs.append(place)
-            continue
-        found = sorted([*place.glob("*.mcap"), *place.glob("*/*.mcap")])
-        if not found:
-            raise RigFileError(f"rig plot {kind}: {place}: expected logs (*.mcap) in this folder, found none")
-        more = [log for log in found if log not in logs]
-        logs += more
-        of_folders.update(more)
-    return logs, frozenset(of_folders)
+    log: Path
+    reason: str
+    lacks: bool
+
+
+def not_drawn(log: Path, error: Exception) -> NotDrawn:
+    """Return why a log is in no figure."""
+    reason = str(error)
+    named = reason if log.name in reason else f"{log}: {reason}"
+    return NotDrawn(log, named, isinstance(error, NotEnoughData))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure, its facts for JSON, and the logs that it was asked for and does not show."""
+
+    figure: Figure
+    facts: dict[str, Any]
+    left: tuple[NotDrawn, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def _run(kind: FigureKind, log: Path, over: Path | None, source: _Model) -> Draw
     model = source.of(kind.name, [log])
     other = None if over is None else load_run(over)
     figure = kind.draw(run, model, other)
-    return figure, _facts(kind.name, [log], model.name, run)
+    return Drawn(figure, _facts(kind.name, [log], model.name, run))
 
 
 def _facts(kind: str, logs: Sequence[Path], model: str, run: Run | None = None) -> dict[str, Any]:
@@ -149,17 +150,59 @@ def _health(log: Path) -> Drawn:
     from analysis.figures.health import draw_health
 
     with open_log(log) as opened:
-        return draw_health(opened), _facts("health", [log], "")
+        return Drawn(draw_health(opened), _facts("health", [log], ""))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """Logs of one figure of all logs: those that it shows, with their runs and their rig's model, and the others."""
+
+    logs: list[Path]
+    runs: list[Run]
+    model: RigModel
+    left: tuple[NotDrawn, ...]
+
+
+def _shown(kind: str, logs: Sequence[Path], source: _Model, check: Callable[[Run], object]) -> _Shown:
+    """Load all logs and check each of them.
+
+    Args:
+        kind: one of KINDS.
+        logs: at least one.
+        source: of the model.
+        check: raises NotEnoughData for a run that this kind of figure cannot show.
+    Raises:
+        RigFileError: the logs are of different rigs.
+        LogError, NotEnoughData: no log can be shown.
+    """
+    runs, left = dict[Path, Run](), dict[Path, LogError | NotEnoughData]()
+    for log in logs:
+        try:
+            runs[log] = load_run(log)
+        except LogError as error:
+            left[log] = error
+    model = source.of(kind, list(runs)) if runs else None
+    for log, run in list(runs.items()):
+        try:
+            check(run)
+        except NotEnoughData as error:
+            left[log] = error
+            del runs[log]
+    reasons = tuple(not_drawn(log, error) for log, error in left.items())
+    if model is None or not runs:
+        if len(logs) == 1:
+            raise left[logs[0]]
+        raise NotEnoughData(f"{kind} can show no log of {len(logs)}: {'; '.join(each.reason for each in reasons)}")
+    return _Shown(list(runs), list(runs.values()), model, reasons)
 
 
 def _map(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.errors import NotEnoughData
     from analysis.figures.stability_map import MapPoint, draw_points_on_map
     from analysis.steady_state import measure
 
-    model, points, warnings = source.of("map", logs), list[MapPoint](), list[str]()
-    for log in logs:
-        run = load_run(log)
+    shown = _shown("map", logs, source, lambda _: None)
+    model, points, warnings = shown.model, list[MapPoint](), list[str]()
+    for log, run in zip(shown.logs, shown.runs, strict=True):
         try:
             found = measure(run, model.rig)
         except NotEnoughData as error:
@@ -168,22 +211,23 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
         ratio = found.speed_rad_s.value / model.speeds_rad_s[0]
         points.append(MapPoint(point_of(run.test) or run.test, ratio, found.state))
     figure = draw_points_on_map(model.physics, points, f"Stability map: {model.rig.name}, {model.name}")
-    return figure, {**_facts("map", logs, model.name), "warnings": warnings}
+    return Drawn(figure, {**_facts("map", shown.logs, model.name), "warnings": warnings}, shown.left)
 
 
 def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.figures.slip import draw_slip
+    from analysis.figures.slip import draw_slip, need_slip
 
-    model = source.of("slip", logs)
-    return draw_slip([load_run(log) for log in logs], model), _facts("slip", logs, model.name)
+    shown = _shown("slip", logs, source, need_slip)
+    figure = draw_slip(shown.runs, shown.model)
+    return Drawn(figure, _facts("slip", shown.logs, shown.model.name), shown.left)
 
 
 def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.multipliers import draw_multipliers, speed_point
 
-    model = source.of("multipliers", logs)
-    points = [speed_point(load_run(log)) for log in logs]
-    return draw_multipliers(points, model), _facts("multipliers", logs, model.name)
+    shown = _shown("multipliers", logs, source, speed_point)
+    figure = draw_multipliers([speed_point(run) for run in shown.runs], shown.model)
+    return Drawn(figure, _facts("multipliers", shown.logs, shown.model.name), shown.left)
 
 
 def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
@@ -191,14 +235,14 @@ def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
     from identification import identify
     from rig_cli.report_forms import report_identification
 
-    runs = [load_run(log) for log in logs]
-    found = report_identification(identify(runs, source.of("residuals", logs).rig, STDERR.print))
-    facts = _facts("residuals", logs, "fitted")
-    return draw_residuals(found.fits), {**facts, "warnings": list(found.warnings)}
+    shown = _shown("residuals", logs, source, lambda _: None)
+    found = report_identification(identify(shown.runs, shown.model.rig, STDERR.print))
+    facts = _facts("residuals", shown.logs, "fitted")
+    return Drawn(draw_residuals(found.fits), {**facts, "warnings": list(found.warnings)}, shown.left)
 
 
 def _history(files: Sequence[Path], source: _Model) -> Drawn:
     from identification.history import parameter_history
     from rig_cli.history_figure import history_figure
 
-    return history_figure(parameter_history(list(files), None), _LEVEL), _facts("history", files, "")
+    return Drawn(history_figure(parameter_history(list(files), None), _LEVEL), _facts("history", files, ""))

@@ -12,7 +12,8 @@ from cyclopts import Parameter
 from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
-from rig_cli.options import Force, Json, ParametersPath, Settings, check_outputs, warn_of_filled, what_if_words
+from rig_cli.option_groups import MOTION_END, OUTPUT
+from rig_cli.options import Force, Json, ParametersPath, RigFile, Settings, check_outputs, warn_of_filled, what_if_words
 from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from dynamics.steady.reaction import Reaction
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=MOTION_END)
 @dataclass(frozen=True)
 class ReactionEnd:
     """End of the motion after the change.
@@ -40,22 +41,27 @@ _UNTIL_SHARE = ReactionEnd()
 
 
 def react(
-    rig: str,
+    rig: RigFile,
     *,
     change: Annotated[
         list[str] | None, Parameter(help="KEY=VALUE that changes at once: imbalance.radius_m=+20%")
     ] = None,
     speed: SpeedChoice = NO_SPEED,
     until: ReactionEnd = _UNTIL_SHARE,
-    plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
+    plot: Annotated[
+        Path | None, Parameter(group=OUTPUT, help="write a figure: .svg, .png, .pdf, or .html, which zooms")
+    ] = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is balanced again.
+    """Simulate how the pendulums answer a sudden change at speed.
 
-    The motion starts in the stable state of the rig before the change and continues with --change at the same speed.
+    The results are the vibration, its peak, and the time until the rotor is balanced again. The motion starts in
+    the stable state of the rig before the change and continues with --change at the same speed.
+
+    Example: `rig react my.toml --point E --change imbalance.radius_m=+20%`
     """
     check_outputs("rig react: --plot", plot, force=force)
     if not change:

@@ -8,16 +8,22 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json
 from rig_cli.share_progress import share_progress
 
 
 def recover(
-    part: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
+    part: Annotated[Path, Parameter(help="the cut or damaged log")],
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="the new log")] = None,
+    json: Json = False,
 ) -> int:
-    """Make a cut or damaged log whole: a new file of its intact part; lists what is missing.
+    """Make a cut or damaged log whole, and list what is missing.
 
-    Exit 1 when no message could be kept.
+    The intact part becomes a new file. Exit 1 when no message could be kept.
+
+    Example: `rig recover run.mcap.part`
     """
     from daq.log.recover import recover as make_whole  # numba takes a third of a second to import
 

@@ -22,6 +22,7 @@ from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.pace import paced
 from rig_cli.console import STDERR, notify, print_json, show
 from rig_cli.numbers import SecondsOrNone
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, Settings
 from rig_cli.replay_interlocks import show_interlocks
 from rig_cli.replay_view import ReplayView
@@ -48,7 +49,9 @@ class ReplayJob:
 
     check: bool = False
     calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], group=OUTPUT, help="new log, decoded again")] = (
+        None
+    )
     speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None
     to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None
     linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None
@@ -62,7 +65,7 @@ _COMPARE = ReplayJob()
 
 
 def replay(
-    log: Path,
+    log: Annotated[Path, Parameter(help="finished or cut")],
     *,
     job: ReplayJob = _COMPARE,
     settings: Annotated[
@@ -77,6 +80,8 @@ def replay(
     that pace. With --to it plays the bytes to other programs, at --speed (default 1); a program that configures its
     devices first gets the devices' replies. With --interlocks it shows when they would have tripped, exit code 1 when
     one would.
+
+    Example: `rig replay run.mcap --check`
     """
     _refuse_contradictions(job)
     if job.interlocks:

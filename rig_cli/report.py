@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import notify, print_json, status_line
+from rig_cli.console import notify, print_json, show, status_line
+from rig_cli.last_sentence import validation_sentence
+from rig_cli.log_places import logs_of, readable_runs
+from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, check_outputs
 from rig_configs import IdentifiedParameters, RigFileError
 
@@ -25,15 +28,20 @@ def report(
     since: Annotated[Path | None, Parameter(help="an earlier parameters.toml: what changed since then")] = None,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="the HTML file; by default report.html in the first folder"),
+        Parameter(
+            name=["--output", "-o"], group=OUTPUT, help="the HTML file; by default report.html in the first folder"
+        ),
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Write the report of a campaign's logs, at any time; exit 1 when a point fails.
+    """Write the report of a campaign from its logs.
 
-    The tests are identified again, and points are validated with the result of the tests alone; with --parameters
-    nothing is identified. The numbers are written next to the page, in a file of the same name that ends in .json.
+    It can be written at any time. The exit code is 1 if a point fails. The tests are identified again, and points
+    are validated with the result of the tests alone; with --parameters nothing is identified. The numbers are
+    written next to the page, in a file of the same name that ends in .json.
+
+    Example: `rig report out`
 
     Args:
         places: folders of a campaign, and logs.
@@ -42,17 +50,16 @@ def report(
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
-    from studies.runs import load_runs
     from studies.validated_runs import validated
 
-    logs = _logs(places)
+    logs = logs_of("rig report", places, "FOLDER|LOG…")
     page = _page(output, places, force)
     earlier = None if since is None else (since.name, IdentifiedParameters.load(since))
     given = None if parameters is None else IdentifiedParameters.load(parameters)
     use = RigUse("rig report") if given is None else RigUse.relying_on_estimates("rig report", given)
-    with status_line(f"reading {len(logs)} logs") as notify_status:
-        runs = sorted(load_runs(logs), key=lambda run: run.start_s)
-        loaded = rig_of_logs(logs, use, rig)
+    with status_line(f"reading {len(logs.logs)} logs") as notify_status:
+        runs = sorted(readable_runs(logs)[0], key=lambda run: run.start_s)
+        loaded = rig_of_logs([run.source for run in runs], use, rig)
         points = [run for run in runs if point_of(run.test)]
         before, joint = _identified(runs, points, loaded, given, notify_status)
         validation = validated(runs, loaded, before, notify_status) if points else None
@@ -61,34 +68,16 @@ def report(
     numbers = page.with_suffix(".json")
     passed = validation is None or validation.passed
     if json:
-        result: dict[str, Any] = {"report": str(page), "numbers": str(numbers), "logs": [str(log) for log in logs]}
+        result: dict[str, Any] = {"report": str(page), "numbers": str(numbers), "logs": [str(log) for log in logs.logs]}
         result["points"] = {} if validation is None else {n: p.verdict for n, p in validation.points.items()}
         print_json({**result, "passed": passed})
         return 0 if passed else 1
     if validation is not None:
         print_points(validation.to_json()["points"])
     notify(f"written to {page}, its numbers to {numbers.name}")
+    if validation is not None:
+        show(validation_sentence(validation.to_json()["points"], passed))
     return 0 if passed else 1
-
-
-def _logs(places: Sequence[Path]) -> list[Path]:
-    """Return all logs: those given by name, and those in the given folders or one level below."""
-    from daq.log.verdicts import without_verdicts  # pydantic takes a while to import
-
-    if not places:
-        raise RigFileError("no log given; usage: rig report DIR|LOG…")
-    logs: list[Path] = []
-    for place in without_verdicts(places):
-        if place.is_dir():
-            found = sorted([*place.glob("*.mcap"), *place.glob("*/*.mcap")])
-            if not found:
-                raise RigFileError(f"rig report: {place}: expected logs (*.mcap) in this folder, found none")
-            logs += found
-        elif place.exists():
-            logs.append(place)
-        else:
-            raise RigFileError(f"rig report: {place}: expected a folder or a log, found no file of this name")
-    return list(dict.fromkeys(logs))
 
 
 def _page(output: Path | None, places: Sequence[Path], force: bool) -> Path:

@@ -35,6 +35,8 @@ def reproduce(
     IDS are the source's numbers, as 2.2, 3.13 or table-3.2; 3 means all of chapter 3. Each item's folder contains its
     figures (SVG, PNG), their data (parquet) and item.json with parameters, assumptions and verdicts; book.html contains
     all of them.
+
+    Example: `rig reproduce 3.13`
     """
     with wait_for_compilation("reproduction"):
         from reproduction.book import counts_of, write_book, write_docs  # loads figures and the compiler

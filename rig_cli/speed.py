@@ -10,10 +10,11 @@ from cyclopts import Parameter
 
 from rig_basics.units import RPM
 from rig_cli.numbers import Positive, PositiveRpm
+from rig_cli.option_groups import SPEED
 from rig_configs import Rig, RigFileError
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=SPEED)
 @dataclass(frozen=True)
 class SpeedChoice:
     """Options for the speed of a command. At most one of them may be given.

@@ -11,9 +11,10 @@ from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
 from rig_basics.whole_file import write_whole_text
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
-from rig_cli.options import Json, Settings
+from rig_cli.options import Json, RigFile, Settings
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
 from rig_configs import RigFileError
@@ -23,15 +24,13 @@ if TYPE_CHECKING:
     from studies.archive import Reidentified
     from studies.campaigns import CampaignResults
 
-app: App = App(
-    name="study", help="Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
-)
+app: App = App(name="study", help=f"{COMMANDS['study'].sentence}\n\nExample: `rig study campaigns`")
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; its study continues")]
 
 
 @app.command
 def campaigns(
-    rig: str = "virtual",
+    rig: RigFile = "virtual",
     *,
     runs: Annotated[WholeCount, Parameter(help="how many campaigns")] = 100,
     seed: Annotated[int, Parameter(help="of the first; those of the others count up from it")] = 0,
@@ -40,7 +39,10 @@ def campaigns(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run campaigns on the virtual rig: how often the truth is in the stated intervals, and how often points pass."""
+    """Run campaigns on the virtual rig: how often the truth is in the stated intervals, and how often points pass.
+
+    Example: `rig study campaigns`
+    """
     from studies.campaigns import CampaignResults, campaign_study, need_virtual  # loads numba
 
     need_virtual(rig, settings or [])
@@ -75,7 +77,10 @@ def archive(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Identify every campaign of an archive again; the logs of one folder are one campaign."""
+    """Identify every campaign of an archive again; the logs of one folder are one campaign.
+
+    Example: `rig study archive archive`
+    """
     from studies.archive import Reidentified, archive_study, campaigns_in  # loads numba
 
     if not folders:

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from daq.errors import LogError
 from rig_cli.console import notify, print_json
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled
+from rig_cli.log_places import logs_of
+from rig_cli.option_groups import OUTPUT
+from rig_cli.options import Force, Json, ParametersPath, Settings, warn_of_filled
 from rig_cli.setting_costs import TRACKING_HELP
 from rig_cli.share_progress import share_progress
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, RigFileError
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def track(
-    *logs: Path,
+    *logs: Annotated[Path, Parameter(help="logs, and folders of them")],
     rig: Annotated[str | None, Parameter(help="a rig file instead of the log's own, of the same rig")] = None,
     parameters: ParametersPath = None,
     setting: Annotated[Literal["fast", "reference"], Parameter(help=TRACKING_HELP)] = "fast",
@@ -29,38 +32,47 @@ def track(
         Path | None,
         Parameter(
             name=["--output", "-o"],
+            group=OUTPUT,
             help="a folder, a table (.parquet, .csv, .npz; with its figure) or a figure (.svg, .png, .pdf)",
         ),
     ] = None,
     every_ms: Annotated[float, Parameter(help="readings are processed, and rows made, once in so many ms")] = 50.0,
-    force: Annotated[bool, Parameter(negative="", help="replace existing files")] = False,
+    force: Force = False,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """States and pendulum damping of a logged run over time, with uncertainty.
+    """Follow states and pendulum damping through a log, with uncertainty.
 
     Spin-downs and points show the damping; rows are x, y, θ3, θ4, their rates, c3, c4 with standard deviations. The
     start values of c3 and c4 are those of --parameters, or of the rig file, and may be wrong by a factor of ten. A bow
-    in --parameters acts on the motion.
+    in --parameters acts on the motion. Of a folder those logs are tracked in which the pendulums swing; the others are
+    named.
+
+    Example: `rig track out/spin-down.mcap`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
-    from daq.log.verdicts import without_verdicts
+    from identification import NotIdentifiable
     from rig_cli.track_page import print_tracking, tracking_json  # numba takes seconds to import
 
-    logs = without_verdicts(logs)
-    if not logs:
-        raise RigFileError("no log given; usage: rig track LOG…")
+    places = logs_of("rig track", logs)
     if not 1.0 <= every_ms <= 1000.0:
         raise RigFileError(f"rig track: --every-ms {every_ms:g}: expected 1 to 1000 ms")
     known = None if parameters is None else IdentifiedParameters.load(parameters)
     estimates = frozenset(PARAMETER_UNITS) - {"c3_Nms_per_rad", "c4_Nms_per_rad"} - set(known.values if known else ())
     use = RigUse("rig track", estimates=estimates)
-    wanted = _places(logs, output, force)
+    wanted = _places(places.logs, output, force)
     found: list[Tracking] = []
-    for log, place in zip(logs, wanted, strict=True):
-        loaded = rig_of_logs([log], use, rig, known, settings or [])
-        warn_of_filled(known, loaded, settings)
-        found.append(_tracked(log, loaded, parameters, setting, every_ms, settings or [], place, force))
+    for log, place in zip(places.logs, wanted, strict=True):
+        try:
+            loaded = rig_of_logs([log], use, rig, known, settings or [])
+            warn_of_filled(known, loaded, settings)
+            found.append(_tracked(log, loaded, parameters, setting, every_ms, settings or [], place, force))
+        except (NotIdentifiable, LogError) as error:
+            if log not in places.of_folders:
+                raise
+            notify(f"not tracked: {error}")
+    if not found:
+        raise RigFileError("rig track: no log of the folder can be tracked; the reasons are above")
     if json:
         print_json({"setting": setting, "what_if": list(settings or []), "logs": [tracking_json(f) for f in found]})
         return 0

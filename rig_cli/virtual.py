@@ -10,13 +10,20 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
-from rig_cli.options import Json, Settings
+from rig_cli.option_groups import OUTPUT
+from rig_cli.options import Json, RigFile, Settings
 from rig_configs import RigFileError, load_rig
 
-app: App = App(name="virtual", help="Start a virtual rig; operate it from another terminal.")
+app: App = App(
+    name="virtual",
+    help=f"{COMMANDS['virtual'].sentence}\n\nIts ports are printed as one JSON line. Ctrl-C or `rig virtual stop` "
+    "ends it.\n\nExample: `rig virtual`",
+)
 
+DeviceName = Annotated[str, Parameter(help="its name in the rig file")]
 Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]
 _SLOWLY_RPM_S = 20.0
 
@@ -40,20 +47,23 @@ _NO_PARENT = ParentProcess()
 
 @app.default
 def start(
-    rig: str = "virtual",
+    rig: RigFile = "virtual",
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="write its rig file: these ports, without [virtual]"),
+        Parameter(name=["--output", "-o"], group=OUTPUT, help="write its rig file: these ports, without [virtual]"),
     ] = None,
     time_scale: TimeScale = 1.0,
-    link: Literal["auto", "pty", "tcp"] = "auto",
+    link: Annotated[Literal["auto", "pty", "tcp"], Parameter(help="wires of its devices")] = "auto",
     control: Control = None,
     settings: Settings = None,
     parent: ParentProcess = _NO_PARENT,
     json: Json = False,
 ) -> None:
-    """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
+    """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it.
+
+    Example: `rig virtual`
+    """
     from daq.virtual_rig.run import VirtualRig, serve  # only this command simulates
     from rig_cli.plugged_rig_file import need_free, write_plugged
 
@@ -136,20 +146,26 @@ def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
 
 @app.command
 def pluck(
-    axis: Literal["x", "y"],
+    axis: Annotated[Literal["x", "y"], Parameter(help="of the sensors")],
     *,
     mm: Annotated[Positive | None, Parameter(help="how far; default: as a ring-down requires")] = None,
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Displace the column along an axis and release it."""
+    """Displace the column along an axis and release it.
+
+    Example: `rig virtual pluck x`
+    """
     _by_hand(control, lambda hand: hand.pluck(axis, mm))
     _done(json, f"plucked along {axis}")
 
 
 @app.command
 def flick(*, control: Control = None, json: Json = False) -> None:
-    """Set both pendulums spinning, one each way, slower than two turns a second."""
+    """Set both pendulums spinning, one each way, slower than two turns a second.
+
+    Example: `rig virtual flick`
+    """
     _by_hand(control, lambda hand: hand.flick())
     _done(json, "flicked both pendulums")
 
@@ -161,27 +177,38 @@ def clamp(
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Hold both pendulums at their places, A at 0° and B at 180°, if no device does; or release them."""
+    """Hold both pendulums at their places, A at 0° and B at 180°, if no device does; or release them.
+
+    Example: `rig virtual clamp`
+    """
     _by_hand(control, lambda hand: hand.release() if release else hand.lock(seen=True))
     _done(json, "released both pendulums" if release else "holding both pendulums at their places")
 
 
 @app.command
 def turn(
-    rpm: float,
+    rpm: Annotated[float, Parameter(help="speed to be reached")],
     *,
     ramp: Annotated[Positive, Parameter(help="rpm per second")] = _SLOWLY_RPM_S,
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Bring the rotor to a speed and hold it there, if no drive does; 0: to rest."""
+    """Bring the rotor to a speed and hold it there, if no drive does; 0: to rest.
+
+    Example: `rig virtual turn 600`
+    """
     _by_hand(control, lambda hand: hand.turn(rpm, ramp))
     _done(json, f"turning the rotor to {rpm:g} rpm by {ramp:g} rpm/s")
 
 
 @app.command(name="set")
-def set_(setting: str, *, control: Control = None, json: Json = False) -> None:
-    """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%."""
+def set_(
+    setting: Annotated[str, Parameter(help="KEY=VALUE of the rig file")], *, control: Control = None, json: Json = False
+) -> None:
+    """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%.
+
+    Example: `rig virtual set suspension.k2_N_per_m=+5%`
+    """
     from rig_configs import parse_setting
 
     key, value = parse_setting(setting)
@@ -203,6 +230,8 @@ def fault(
     json: Json = False,
 ) -> None:
     """Place a fault in a device.
+
+    Example: `rig virtual fault mute laser_x`
 
     Args:
         kind: the fault; its words may be joined by hyphens.
@@ -246,16 +275,22 @@ def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]
 
 
 @app.command
-def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
-    """Pull a device's cable."""
+def unplug(device: DeviceName, *, control: Control = None, json: Json = False) -> None:
+    """Pull a device's cable.
+
+    Example: `rig virtual unplug laser_x`
+    """
     with _operator(control) as line:
         line.ask("unplug", device=device)
     _done(json, f"{device}: cable pulled", device=device)
 
 
 @app.command
-def plug(device: str, *, control: Control = None, json: Json = False) -> None:
-    """Plug a device in again; its port may have another name now."""
+def plug(device: DeviceName, *, control: Control = None, json: Json = False) -> None:
+    """Plug a device in again; its port may have another name now.
+
+    Example: `rig virtual plug laser_x`
+    """
     with _operator(control) as line:
         port = str(line.ask("plug", device=device)["port"])
     _done(
@@ -265,7 +300,10 @@ def plug(device: str, *, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def state(*, control: Control = None, json: Json = False) -> None:
-    """Show the state of the rig: motion, ports, present faults."""
+    """Show the state of the rig: motion, ports, present faults.
+
+    Example: `rig virtual state`
+    """
     from rig_cli.virtual_page import onlooker, show_state
 
     with _operator(control) as line:
@@ -275,7 +313,10 @@ def state(*, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def stop(*, control: Control = None, json: Json = False) -> None:
-    """End the running rig."""
+    """End the running rig.
+
+    Example: `rig virtual stop`
+    """
     with _operator(control) as line:
         line.ask("quit")
         line.wait_for_end()

@@ -10,10 +10,10 @@ from daq.log.time_span import TimeSpan
 from daq.log.verdicts import digest_of
 from daq.signals.run import Run, load_run
 
-_WHOLE = TimeSpan()
+WHOLE = TimeSpan()
 
 
-def load_runs(logs: Sequence[str | Path], span: TimeSpan = _WHOLE) -> list[Run]:
+def load_runs(logs: Sequence[str | Path], span: TimeSpan = WHOLE) -> list[Run]:
     """Load the runs of several logs, or the same part of each, with the digests of the files in their metadata."""
     return [_with_digest(load_run(path, span), Path(path)) for path in logs]
 

@@ -54,8 +54,7 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
         NotEnoughData: a run without pendulum angles or index marks.
     """
     for run in runs:
-        if not len(run.angle_time_s):
-            raise NotEnoughData(f"{run.source}: expected pendulum angles for slip, the log has none")
+        need_slip(run)
     speeds = [speed_range(run) for run in runs]
     low, high = _BELOW * min(s[0] for s in speeds), _ABOVE * max(s[1] for s in speeds)
     ends = [_end(run) for run in runs if not changes_speed(run)]
@@ -75,6 +74,21 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
         _axes(grid, ends, (low * TO_RPM, high * TO_RPM), model)
         figure.align_ylabels(grid)
     return figure
+
+
+def need_slip(run: Run) -> None:
+    """Check that slip can be drawn of a run.
+
+    Raises:
+        NotEnoughData: the run has no pendulum angles or no index marks, or not at speed.
+    """
+    if not len(run.angle_time_s):
+        raise NotEnoughData(f"{run.source}: expected pendulum angles for slip, the log has none")
+    speed_range(run)
+    if changes_speed(run):
+        slips_of(run)
+    else:
+        _end(run)
 
 
 def slips_of(run: Run) -> SlipTrack:

@@ -28,7 +28,7 @@ from rig_basics.ignoring import ignoring
 _log = logging.getLogger(__name__)
 
 NAME = ".rig-logs.sqlite"
-VERSION = 2
+VERSION = 3
 _TABLE = (
     "CREATE TABLE logs (path TEXT PRIMARY KEY, size_bytes INTEGER, modified_ns INTEGER, changed_ns INTEGER, "
     "verdict_stamp TEXT, looked_ns INTEGER, digest TEXT, entry TEXT, checksum INTEGER)"

@@ -19,6 +19,7 @@ _COUNTED = (
     *("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines", "suspect"),
     *("doubled_marks", "turns", "clock_steps"),
 )
+_CARRIERS = ("frames", "lines", "bytes", "damaged")  # endings of kinds: samples are transmitted in them
 _SILENT_MS = "_silent_ms"  # suffix of the duration of a channel's silence
 
 
@@ -37,11 +38,17 @@ class Losses:
 
     @property
     def total(self) -> int:
-        """Sum of all counts, an indicator of the amount of loss: a lost frame and its samples both count.
+        """Sum of all counts, an indicator of the amount of loss.
 
-        Readings that the sensor marked as invalid did arrive and are not included.
+        A lost frame with its samples counts as these samples. Readings that the sensor marked as invalid did arrive and
+        are not included.
         """
-        return sum(n for kinds in self.by_device.values() for kind, n in kinds.items() if kind not in _SENSORS_OWN)
+        return sum(
+            n
+            for kinds in self.by_device.values()
+            for kind, n in kinds.items()
+            if kind not in _SENSORS_OWN and not (_carries_samples(kind) and kinds.get("samples"))
+        )
 
     @property
     def flat(self) -> dict[str, int]:
@@ -51,12 +58,29 @@ class Losses:
     def words(self) -> str:
         """Return the losses in one line, without zero counts."""
         found = [
-            f"{device} {n} {kind.replace('_', ' ')}"
+            f"{device} {_counted_words(n, kind)}{_carriers_words(kinds) if kind == 'samples' else ''}"
             for device, kinds in self.by_device.items()
             for kind, n in kinds.items()
-            if n
+            if n and not (_carries_samples(kind) and kinds.get("samples"))
         ]
         return ", ".join(found) or ("unknown: it counts none" if self.source == "none" else "nothing lost")
+
+
+def _carries_samples(kind: str) -> bool:
+    """Whether a count is of what samples are transmitted in; the samples of a lost frame are counted themselves."""
+    return kind.endswith(_CARRIERS)
+
+
+def _counted_words(number: int, kind: str) -> str:
+    """Return for example "1 radio frame", "2 radio frames", "3 damaged"."""
+    words = kind.replace("_", " ")
+    plural = words.endswith("s") and not kind.endswith(_SILENT_MS)
+    return f"{number} {words[:-1] if plural and number == 1 else words}"
+
+
+def _carriers_words(kinds: Mapping[str, int]) -> str:
+    found = [_counted_words(n, kind) for kind, n in kinds.items() if n and _carries_samples(kind)]
+    return f" (with {', '.join(found)})" if found else ""
 
 
 def losses_of(log: Log) -> Losses:

@@ -9,7 +9,7 @@ from daq.items import DeviceEvent
 from daq.log import open_log
 from daq.log.content import event_content
 from daq.log.file import LogFile
-from daq.log.losses import losses_of
+from daq.log.losses import Losses, losses_of
 
 START = 1_700_000_000_000_000_000
 
@@ -51,7 +51,7 @@ def test_losses_of_a_cut_log_are_those_of_its_last_health_report_or_events(tmp_p
         assert losses_of(log).source == "health"
     with open_log(write(tmp_path / "b.mcap", None, (), GAPS)) as log:
         assert losses_of(log).by_device == COUNTED
-        assert (losses_of(log).source, losses_of(log).total) == ("events", 10)
+        assert (losses_of(log).source, losses_of(log).total) == ("events", 5)  # 5 bytes are those of the 3 samples
     with open_log(write(tmp_path / "c.mcap")) as log:
         assert (losses_of(log).by_device, losses_of(log).words()) == ({}, "unknown: it counts none")
         assert losses_of(log).source == "none"
@@ -87,3 +87,11 @@ def test_what_is_no_count_is_refused_in_words(tmp_path, hostile):
         log.metadata["summary"]["losses"] = json.dumps({"laser_x": {"samples": 1e999}})
         with pytest.raises(LogError, match="expected loss"):
             losses_of(log)
+
+
+def test_a_lost_frame_and_its_samples_count_once() -> None:
+    losses = Losses({"encoder": {"radio_frames": 2, "samples": 40}, "drive": {"damaged_lines": 1}}, "summary")
+    assert losses.total == 41
+    assert losses.words() == "encoder 40 samples (with 2 radio frames), drive 1 damaged line"
+    assert Losses({"laser": {"samples": 1, "damaged": 3}}, "summary").words() == "laser 1 sample (with 3 damaged)"
+    assert Losses({"encoder": {"radio_frames": 2, "samples": 0}}, "summary").total == 2  # frames without known samples

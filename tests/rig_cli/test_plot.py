@@ -17,6 +17,8 @@ from rig_cli.plot import Kind
 from rig_configs import IdentifiedParameters
 from tests.daq.small_log import write_small_log
 from tests.figures.figure_runs import run_up
+from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
+from tests.rig_cli.test_log_places import resting_rotor
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +98,7 @@ def test_a_figure_is_not_replaced_unasked(log: Path, tmp_path: Path, capsys: pyt
 def folder_of(tmp_path: Path, *logs: Path) -> Path:
     """A folder with these logs in it."""
     folder = tmp_path / "campaign"
-    folder.mkdir()
+    folder.mkdir(parents=True)
     for log in logs:
         shutil.copy(log, folder / log.name)
     return folder
@@ -144,14 +146,38 @@ def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.C
     assert len(answer["not_drawn"]) == 2
 
 
+@pytest.fixture(scope="module")
+def point(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A point with free pendulums, recorded elsewhere."""
+    folder = tmp_path_factory.mktemp("point")
+    table, out = balanced_point(folder / "b.csv"), folder / "b.mcap"
+    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(out), *BALANCED_COLUMNS]) == 0
+    return out
+
+
+@pytest.mark.parametrize("kind", ["slip", "multipliers"])
+def test_a_figure_of_all_logs_shows_those_of_a_folder_that_it_can(
+    kind: str, point: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pluck = resting_rotor(tmp_path / "a-pluck.mcap")
+    folder = folder_of(tmp_path, pluck, point)
+    answer = plotted(capsys, kind, folder, "-o", tmp_path / "out")
+    assert [Path(log).name for log in answer["figures"][0]["logs"]] == ["b.mcap"]
+    assert [each["log"] for each in answer["not_drawn"]] == [str(folder / "a-pluck.mcap")]
+    named = plotted(capsys, kind, pluck, point, "-o", tmp_path / "named", code=2)
+    assert [Path(log).name for log in named["figures"][0]["logs"]] == ["b.mcap"]
+    nothing = plotted(capsys, kind, folder_of(tmp_path / "x", pluck), "-o", tmp_path / "no", code=2)
+    assert "a-pluck.mcap" in nothing["error"]
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
         (["bode"], "no log given"),
         (["bode", "."], "found none"),
         (["bode", "LOG", "-o", "bode.jpeg"], ".svg, .png, .pdf, .html"),
-        (["bode", "LOG", "LOG", "-o", "bode.svg"], "give a folder"),
-        (["bode", "LOG", "LOG"], "several logs would be drawn to"),
+        (["bode", "LOG", "SAME-NAME", "-o", "bode.svg"], "give a folder"),
+        (["bode", "LOG", "SAME-NAME"], "several logs would be drawn to"),
         (["health", "LOG", "--over", "LOG"], "which take a second log"),
         (["dial", "LOG"], "expected pendulum angles"),
     ],
@@ -165,7 +191,11 @@ def test_what_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    answer = plotted(capsys, *[str(log) if word == "LOG" else word for word in words], code=2)
+    other = log.parent / "other" / log.name
+    other.parent.mkdir(exist_ok=True)
+    shutil.copy(log, other)
+    places = {"LOG": str(log), "SAME-NAME": str(other)}
+    answer = plotted(capsys, *[places.get(word, word) for word in words], code=2)
     assert expected in answer["error"]
     assert list(tmp_path.iterdir()) == []
 

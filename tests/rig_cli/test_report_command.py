@@ -62,7 +62,7 @@ def test_points_alone_need_parameters(capsys: pytest.CaptureFixture[str], tmp_pa
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        ([], "usage: rig report DIR|LOG"),
+        ([], "usage: rig report FOLDER|LOG"),
         (["nowhere"], "found no file of this name"),
         (["{empty}"], "expected logs (*.mcap) in this folder"),
         (["{logs}", "-o", "{empty}/r.txt"], "expected a name ending in .html"),

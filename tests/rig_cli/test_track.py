@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -159,8 +160,11 @@ def test_places_are_refused_before_the_work(
 ) -> None:
     monkeypatch.setattr("rig_cli.track._tracked", lambda *_: pytest.fail("a log was tracked"))
     assert "expected a folder, a table" in refused(capsys, log, "-o", tmp_path / "a.txt")
-    assert "one file for several logs; give a folder" in refused(capsys, log, log, "-o", tmp_path / "a.csv")
-    assert "several logs would be written to" in refused(capsys, log, log, "-o", tmp_path)
+    same_name = tmp_path / "other" / log.name
+    same_name.parent.mkdir()
+    shutil.copy(log, same_name)
+    assert "one file for several logs; give a folder" in refused(capsys, log, same_name, "-o", tmp_path / "a.csv")
+    assert "several logs would be written to" in refused(capsys, log, same_name, "-o", tmp_path)
     (tmp_path / "a.csv").write_text("mine", encoding="utf-8")
     assert "exists already" in refused(capsys, log, "-o", tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text(encoding="utf-8") == "mine"

@@ -1,0 +1,149 @@
+"""The sentence at the end of a command: what came out, for a person; JSON is as it was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.guided_tests.runner import TestDone
+from rig_cli.guided_test_result import result_sentence
+from rig_cli.last_sentence import (
+    check_sentence,
+    identify_sentence,
+    number_of,
+    predict_sentence,
+    validation_sentence,
+)
+from rig_cli.main import run
+from rig_configs import PARAMETER_UNITS, IdentifiedParameters
+from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
+from tests.rig_cli.test_log_places import resting_rotor
+
+FINE: Checks = {"rate_Hz": DeviceCheck(4000.0, 4000.0, True)}
+SILENT: Checks = {"identity": DeviceCheck(None, "ILD1420", False, "is it switched on?")}
+SLOW: Checks = {"rate_Hz": DeviceCheck(3600.0, 4000.0, False, "set rate_Hz = 3600")}
+OPEN: Checks = {"clock": DeviceCheck(0.1, 0.2, None)}
+
+
+@pytest.mark.parametrize(
+    ("devices", "expected"),
+    [
+        ({"a": FINE, "b": FINE}, "Both devices are fine."),
+        (dict.fromkeys("abcd", FINE), "All 4 devices are fine."),
+        ({"a": FINE}, "The device is fine."),
+        (
+            {"a": FINE, "b": SLOW},
+            "1 of 2 devices fails: b: rate_Hz 3600.0, expected 4000.0; set rate_Hz = 3600.",
+        ),
+        (
+            {"a": SLOW, "b": SILENT, "c": FINE},
+            "2 of 3 devices fail: b: identity, expected ILD1420; is it switched on?",
+        ),
+        (
+            {"a": FINE, "b": OPEN},
+            "Both devices are fine; 1 check is not resolved, with the reason above.",
+        ),
+    ],
+)
+def test_a_check_ends_with_its_worst_device(devices: dict[str, Checks], expected: str) -> None:
+    assert check_sentence(devices) == expected
+
+
+def test_a_check_of_fine_devices_does_not_hide_a_warning_of_the_rotor() -> None:
+    assert check_sentence({"a": FINE, "b": FINE}, "the rotor turns") == "Both devices are fine, but the rotor turns."
+
+
+def parameters(*names: str) -> IdentifiedParameters:
+    return IdentifiedParameters(dict.fromkeys(names, 1.0), np.diag([1e-4] + [1e-6] * (len(names) - 1)), {})
+
+
+def test_an_identification_ends_with_its_numbers_and_the_next_step() -> None:
+    full = identify_sentence(parameters(*PARAMETER_UNITS), 9, [], Path("p.toml"))
+    assert full == (
+        "k1, k2, ζ1, ζ2, c3, c4, S_P identified from 9 logs, standard uncertainties up to 1 % (k1); next: rig validate "
+        "RIG FOLDER --parameters p.toml."
+    )
+    warnings = ["other", "not identified: c3_Nms_per_rad, SP_kg_m; record spin-down, run-up"]
+    part = identify_sentence(parameters("zeta1", "zeta2"), 1, warnings, Path("p.toml"))
+    assert part == (
+        "ζ1, ζ2 identified from 1 log, standard uncertainties up to 1 % (ζ1); not identified: c3, S_P; record "
+        "spin-down, run-up."
+    )
+
+
+def predicted(*ends: str, states: tuple[tuple[str, bool, float], ...] = (("I", True, 0.0),)) -> dict[str, Any]:
+    return {
+        "speed_rpm": 288.0,
+        "steady_states": [{"type": t, "stable": s, "amplitude_mm": a} for t, s, a in states],
+        "releases_within_play": [{"reaches": end, "after_s": 30.2, "revolutions": 1} for end in ends],
+    }
+
+
+@pytest.mark.parametrize(
+    ("result", "expected"),
+    [
+        (predicted("I", "I"), "At 288 rpm released pendulums balance the rotor after 30.2 s; no vibration remains."),
+        (
+            predicted("III", states=(("III", True, 2.74), ("I", False, 0.0))),
+            "At 288 rpm released pendulums settle in a state of Type III, which does not balance the rotor, after "
+            "30.2 s; the amplitude that remains is 2.74 mm.",
+        ),
+        (predicted("I", "III"), "At 288 rpm a release may end in any of: balance, a state of Type III."),
+        (predicted("slipping"), "At 288 rpm released pendulums slip for ever; the rotor is not balanced."),
+        (predicted("not settled"), "At 288 rpm released pendulums do not settle within 1 revolution."),
+        (predicted(), "At 288 rpm balance is stable, with an amplitude of 0 mm."),
+        (predicted(states=(("I", False, 0.0),)), "At 288 rpm no steady state is stable."),
+    ],
+)
+def test_a_prediction_ends_with_what_will_happen(result: dict[str, Any], expected: str) -> None:
+    assert predict_sentence(result) == expected
+
+
+def judged(**verdicts: str) -> dict[str, dict[str, Any]]:
+    return {name: {"verdict": verdict, "why": "θ3 differs by 4.1 std"} for name, verdict in verdicts.items()}
+
+
+def test_a_validation_ends_with_the_points_that_do_not_pass() -> None:
+    assert validation_sentence(judged(A="pass", B="pass"), passed=True) == "A, B pass."
+    assert validation_sentence(judged(B="pass"), passed=True) == "B passes."
+    one = validation_sentence(judged(A="pass", B="fail"), passed=False)
+    assert one == "1 of 2 points does not pass: B: fail, θ3 differs by 4.1 std."
+    two = validation_sentence(judged(A="fail", B="not settled", C="pass"), passed=False)
+    assert two == "2 of 3 points do not pass (A, B): A: fail, θ3 differs by 4.1 std."
+    assert "whole validation does not" in validation_sentence(judged(A="pass"), passed=False)
+    assert validation_sentence({}, passed=False) == "No point was compared."
+
+
+def test_the_sentence_is_the_last_line_of_a_prediction_and_not_in_its_json(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["predict", "virtual", "--point", "B", "--no-release"]
+    assert run(words) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "At 288 rpm balance is stable, with an amplitude of 0 mm."
+    assert run([*words, "--json"]) == 0
+    assert "sentence" not in json.loads(capsys.readouterr().out)
+
+
+def test_a_ring_down_ends_with_frequency_and_damping(tmp_path: Path) -> None:
+    log = resting_rotor(tmp_path / "pluck.mcap")  # 19.2 rad/s, decay 0.4 1/s
+    expected = "ring-down-x done: f1 = 3.056 Hz, ζ1 = 2.08 %; 5.0 s with 5000 samples recorded, nothing lost."
+    assert result_sentence(TestDone("ring-down-x", log, {})) == expected
+
+
+def test_a_test_without_a_quick_result_ends_with_what_was_recorded(tmp_path: Path) -> None:
+    table, log = balanced_point(tmp_path / "b.csv", 100.0), tmp_path / "b.mcap"
+    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(log), *BALANCED_COLUMNS]) == 0
+    recorded = "60.0 s with 24000 samples recorded, nothing lost."
+    settled = {"settled": "false", "why": "angles drift"}
+    assert result_sentence(TestDone("point-B", log, settled)) == f"point-B done: not settled (angles drift); {recorded}"
+    assert result_sentence(TestDone("run-up", log, {})) == f"run-up done: {recorded}"
+    early = result_sentence(TestDone("run-up", log, {}, missed="the top speed"))
+    assert early == f"run-up did not reach its end: the top speed; {recorded}"
+    assert "no quick result" in result_sentence(TestDone("ring-down-x", tmp_path / "no.mcap", {}))
+
+
+def test_plural_forms() -> None:
+    assert [number_of(n, "log") for n in (0, 1, 2)] == ["0 logs", "1 log", "2 logs"]
