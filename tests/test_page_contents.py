@@ -15,11 +15,11 @@ PAGES = [
     for page in sorted(DOCS.rglob("*.md"))
     if page.relative_to(DOCS).as_posix() not in LEFT_OUT and page.relative_to(DOCS).parts[0] != "decisions"
 ]
-RUN_IN = re.compile(r"(?:\A|\n)(?:[ \t]*\n|#+ [^\n]*\n)(\*\*[^*\n]{1,60}[.:?]\*\*)")
+RUN_IN = re.compile(r"^\*\*[A-Z0-9`][^*\n]{0,59}[.:?]\*\*", re.MULTILINE)
 
 
 def run_ins(text: str) -> list[str]:
-    """Bold words that begin a paragraph and stand for a heading."""
+    """Bold words at the start of a line that stand for a heading."""
     return RUN_IN.findall(text)
 
 
