@@ -35,9 +35,9 @@ exclude_patterns = ["_build"]
 # Notebooks are executed by the test suite and kept with their outputs.
 nb_execution_mode = "off"
 nb_output_stderr = "show"
-myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "smartquotes"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-# It turns the two hyphens of an option into a dash. The extension of the same name changes quotation marks only.
+# They turn the two hyphens of an option into a dash, the primes of a derivative and a shell's quotes into curly ones.
 smartquotes = False
 
 # The script is copied from a wheel, so that equations are set without a network.
