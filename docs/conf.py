@@ -8,7 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from sphinx.util import logging
+
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+from built_pages import faults_of_site, mathjax
 
 DISTRIBUTION = "pendulum-balancer-rig"
 
@@ -20,6 +24,7 @@ version = release
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
@@ -30,12 +35,17 @@ exclude_patterns = ["_build"]
 # Notebooks are executed by the test suite and kept with their outputs.
 nb_execution_mode = "off"
 nb_output_stderr = "show"
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "smartquotes"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+# They turn the two hyphens of an option into a dash, the primes of a derivative and a shell's quotes into curly ones.
+smartquotes = False
+
+# The script is copied from a wheel, so that equations are set without a network.
+mathjax_path = mathjax().name
 
 html_theme = "furo"
 html_title = f"{project} {release}"
-html_static_path: list[str] = []
+html_static_path = [str(mathjax())]
 
 autodoc_member_order = "groupwise"
 autodoc_typehints = "signature"
@@ -97,8 +107,16 @@ def _require_wheel(app: Any) -> None:
         )
 
 
+def _check_pages(app: Any, exception: Exception | None) -> None:
+    """Warn of each page that needs the network or shows an option without its hyphens."""
+    if exception is None and app.builder.name == "html":
+        for fault in faults_of_site(Path(app.outdir)):
+            logging.getLogger("built_pages").warning(fault)
+
+
 def setup(app: Any) -> None:
     """Register the docstring conversion ahead of napoleon (priority 500)."""
     app.connect("builder-inited", _require_wheel)
     app.connect("source-read", _add_command_reference)
+    app.connect("build-finished", _check_pages)
     app.connect("autodoc-process-docstring", _process_docstring, priority=400)
