@@ -79,6 +79,7 @@ class Identification:
         consistency: agreement per parameter and test, for parameters that at least two tests determine.
         warnings: findings that limit the use of the values.
         witnesses: comparison of additional sensors along an axis with the sensors that measure for the rig, per run.
+        to_record: advice what to record for the parameters that no run determines; empty if none is absent.
     """
 
     parameters: IdentifiedParameters
@@ -89,6 +90,7 @@ class Identification:
     consistency: list[ConsistencyRow]
     warnings: list[str]
     witnesses: list[WitnessAgreement] = field(default_factory=list[WitnessAgreement])
+    to_record: str = ""
 
 
 @dataclass
@@ -383,8 +385,8 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     parameters, messages = physical_parameters(parameters, work.rig)
     warnings += messages
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
-    if missing:
-        warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
+    to_record = advice(missing, runs, work.rig.roles) if missing else ""
+    warnings += [f"not identified: {', '.join(missing)}; {to_record}"] if missing else []
     drag = work.drag
     torques = {**kept_friction(work.friction(), work.open_friction()), **(drag.drag.table if drag else {})}
     facts = _provenance(runs, work, rows, torques)
@@ -412,6 +414,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
         work.fits,
         rows,
         work.warnings + warnings,
+        to_record=to_record,
     )
     return replace(found, parameters=with_tests(found, runs))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,18 +60,25 @@ def _compared(found: DeviceCheck) -> str:
     return value + ("" if found.expected is None else f", expected {found.expected}")
 
 
-def identify_sentence(found: IdentifiedParameters, logs: int, warnings: Sequence[str], file: Path) -> str:
-    """Return which parameters were identified, how good they are, and what to do next."""
+def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, file: Path) -> str:
+    """Return which parameters were identified, how good they are, and what to do next.
+
+    Args:
+        found: parameters.
+        logs: number of logs that determine them.
+        to_record: advice for the others; empty if none is absent.
+        file: file of the parameters.
+    """
     share = {name: found.std[name] / abs(value) for name, value in found.values.items()}
     if not share:
         return f"No parameter was identified from {number_of(logs, 'log')}; the warnings above give the reasons."
     worst = max(share, key=lambda name: share[name])
     names = ", ".join(_SYMBOLS[name] for name in PARAMETER_UNITS if name in share)
     good = f"standard uncertainties up to {100 * share[worst]:.2g} % ({_SYMBOLS[worst]})"
-    lacking = next((text for text in warnings if text.startswith("not identified: ")), "")
-    for name, symbol in _SYMBOLS.items():
-        lacking = lacking.replace(name, symbol)
-    following = lacking or f"next: rig validate RIG FOLDER --parameters {file}"
+    absent = ", ".join(_SYMBOLS[name] for name in PARAMETER_UNITS if name not in share)
+    following = f"next: rig validate RIG FOLDER --parameters {file}"
+    if absent:
+        following = f"not identified: {absent}; {to_record}"
     return f"{names} identified from {number_of(logs, 'log')}, {good}; {following}."
 
 

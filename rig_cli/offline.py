@@ -92,7 +92,7 @@ def identify(
         notify(f"warning: {warning}")
     notify(f"written to {output}")
     used = {source for estimate in found.estimates for source in estimate.sources}
-    show(identify_sentence(parameters, len(used), found.warnings, output))
+    show(identify_sentence(parameters, len(used), found.to_record, output))
     return 0
 
 

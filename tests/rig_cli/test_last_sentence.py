@@ -63,16 +63,16 @@ def parameters(*names: str) -> IdentifiedParameters:
 
 
 def test_an_identification_ends_with_its_numbers_and_the_next_step() -> None:
-    full = identify_sentence(parameters(*PARAMETER_UNITS), 9, [], Path("p.toml"))
+    full = identify_sentence(parameters(*PARAMETER_UNITS), 9, "", Path("p.toml"))
     assert full == (
         "k1, k2, ζ1, ζ2, c3, c4, S_P identified from 9 logs, standard uncertainties up to 1 % (k1); next: rig validate "
         "RIG FOLDER --parameters p.toml."
     )
-    warnings = ["other", "not identified: c3_Nms_per_rad, SP_kg_m; record spin-down, run-up"]
-    part = identify_sentence(parameters("zeta1", "zeta2"), 1, warnings, Path("p.toml"))
+    present = [name for name in PARAMETER_UNITS if name not in ("c3_Nms_per_rad", "SP_kg_m")]
+    part = identify_sentence(parameters(*present), 1, "record spin-down, run-up", Path("p.toml"))
     assert part == (
-        "ζ1, ζ2 identified from 1 log, standard uncertainties up to 1 % (ζ1); not identified: c3, S_P; record "
-        "spin-down, run-up."
+        "k1, k2, ζ1, ζ2, c4 identified from 1 log, standard uncertainties up to 1 % (k1); not identified: c3, S_P; "
+        "record spin-down, run-up."
     )
 
 
