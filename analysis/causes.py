@@ -17,19 +17,10 @@ from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
 from analysis.run_out import SLOW_ROLL
 from rig_basics.arrays import Array
-from rig_configs import IdentifiedParameters, Rig
+from rig_configs import PARAMETER_SYMBOLS, IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, USUAL_SHARE, ZERO_A, ZERO_B
 
-PARAMETER_SYMBOLS: Mapping[str, str] = {
-    "k1_N_per_m": "k1",
-    "k2_N_per_m": "k2",
-    "zeta1": "ζ1",
-    "zeta2": "ζ2",
-    "c3_Nms_per_rad": "c3",
-    "c4_Nms_per_rad": "c4",
-    "SP_kg_m": "S_P",
-}
 _NUMBER_WORDS = {
     "rotor.mass_kg": "the rotor's mass",
     "imbalance.mass_kg": "the imbalance's mass",

@@ -8,17 +8,7 @@ from typing import Any
 
 from daq.acquisition.device_check import passed
 from daq.drivers.checks import Checks, DeviceCheck
-from rig_configs import PARAMETER_UNITS, IdentifiedParameters
-
-_SYMBOLS = {
-    "k1_N_per_m": "k1",
-    "k2_N_per_m": "k2",
-    "zeta1": "ζ1",
-    "zeta2": "ζ2",
-    "c3_Nms_per_rad": "c3",
-    "c4_Nms_per_rad": "c4",
-    "SP_kg_m": "S_P",
-}
+from rig_configs import PARAMETER_SYMBOLS, IdentifiedParameters
 
 
 def number_of(count: int, one: str, many: str = "") -> str:
@@ -73,9 +63,9 @@ def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, fi
     if not share:
         return f"No parameter was identified from {number_of(logs, 'log')}; the warnings above give the reasons."
     worst = max(share, key=lambda name: share[name])
-    names = ", ".join(_SYMBOLS[name] for name in PARAMETER_UNITS if name in share)
-    good = f"standard uncertainties up to {100 * share[worst]:.2g} % ({_SYMBOLS[worst]})"
-    absent = ", ".join(_SYMBOLS[name] for name in PARAMETER_UNITS if name not in share)
+    names = ", ".join(PARAMETER_SYMBOLS[name] for name in PARAMETER_SYMBOLS if name in share)
+    good = f"standard uncertainties up to {100 * share[worst]:.2g} % ({PARAMETER_SYMBOLS[worst]})"
+    absent = ", ".join(PARAMETER_SYMBOLS[name] for name in PARAMETER_SYMBOLS if name not in share)
     following = f"next: rig validate RIG FOLDER --parameters {file}"
     if absent:
         following = f"not identified: {absent}; {to_record}"

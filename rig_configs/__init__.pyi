@@ -14,6 +14,7 @@ from .load import (
     with_parameters as with_parameters,
 )
 from .parameters_file import (
+    PARAMETER_SYMBOLS as PARAMETER_SYMBOLS,
     PARAMETER_UNITS as PARAMETER_UNITS,
     IdentifiedParameters as IdentifiedParameters,
 )

@@ -32,6 +32,15 @@ PARAMETER_UNITS: Mapping[str, str] = {
     "c4_Nms_per_rad": "N m s/rad",
     "SP_kg_m": "kg m",
 }
+PARAMETER_SYMBOLS: Mapping[str, str] = {
+    "k1_N_per_m": "k1",
+    "k2_N_per_m": "k2",
+    "zeta1": "ζ1",
+    "zeta2": "ζ2",
+    "c3_Nms_per_rad": "c3",
+    "c4_Nms_per_rad": "c4",
+    "SP_kg_m": "S_P",
+}
 DESIGN_SHARE: Mapping[str, float] = {
     "k1_N_per_m": 0.15,
     "k2_N_per_m": 0.15,

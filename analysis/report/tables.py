@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from analysis.causes import PARAMETER_SYMBOLS
 from analysis.noticed import DetectableSizes
 from analysis.report.campaign import Campaign, ParameterChange
 from analysis.results import PointResult
@@ -18,7 +17,7 @@ from analysis.rounding import plain, signed, with_std
 from analysis.scores import Z_LIMIT, Score
 from daq.signals.run import Run
 from rig_basics.units import RPM
-from rig_configs import PARAMETER_UNITS
+from rig_configs import PARAMETER_SYMBOLS, PARAMETER_UNITS
 
 _QUANTITIES = (
     ("theta3", "θ3", "theta3_deg", "°"),
