@@ -15,10 +15,18 @@ class Command:
     Attributes:
         place: "module:attribute" of its function, or of its cyclopts application with commands of its own.
         sentence: what it does; the first line of its own help.
+        more: the other lines of the own help of an application. A function has them in its docstring. cyclopts writes a
+            given help into the application, which all command lines of the process share.
     """
 
     place: str
     sentence: str
+    more: str = ""
+
+    @property
+    def own_help(self) -> str | None:
+        """Help of an application; None for a function."""
+        return f"{self.sentence}\n\n{self.more}" if self.more else None
 
 
 GROUPS: dict[str, dict[str, Command]] = {
@@ -34,7 +42,11 @@ GROUPS: dict[str, dict[str, Command]] = {
             "rig_cli.calibrate:calibrate",
             "Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks.",
         ),
-        "virtual": Command("rig_cli.virtual:app", "Start a virtual rig, and operate it from another terminal."),
+        "virtual": Command(
+            "rig_cli.virtual:app",
+            "Start a virtual rig, and operate it from another terminal.",
+            "Its ports are printed as one JSON line. Ctrl-C or `rig virtual stop` ends it.\n\nExample: `rig virtual`",
+        ),
         "completion": Command(
             "rig_cli.completion:completion",
             "Print the script with which a shell completes commands and options of rig.",
@@ -62,7 +74,9 @@ GROUPS: dict[str, dict[str, Command]] = {
             "rig_cli.offline:identify", "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs."
         ),
         "parameters": Command(
-            "rig_cli.parameters:app", "Show identified parameters, compare them, follow them over time."
+            "rig_cli.parameters:app",
+            "Show identified parameters, compare them, follow them over time.",
+            "Example: `rig parameters diff before.toml after.toml`",
         ),
         "track": Command("rig_cli.track:track", "Follow states and pendulum damping through a log, with uncertainty."),
     },
@@ -97,7 +111,9 @@ GROUPS: dict[str, dict[str, Command]] = {
     },
     "Develop": {
         "driver": Command(
-            "rig_cli.drivers:app", "List the installed drivers, check one against what every driver must do."
+            "rig_cli.drivers:app",
+            "List the installed drivers, check one against what every driver must do.",
+            "Example: `rig driver check optoncdt`",
         ),
         "bench": Command(
             "rig_cli.bench:bench", "Measure time against true error for every method, with peers in the same run."
@@ -105,6 +121,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "study": Command(
             "rig_cli.studies:app",
             "Run campaigns by the hundred, or identify an archive again, on one machine or many.",
+            "Example: `rig study campaigns`",
         ),
         "reproduce": Command(
             "rig_cli.reproduce:reproduce", "Reproduce figures and tables of the source and judge its claims."

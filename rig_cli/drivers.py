@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 from pydantic import ValidationError
 
-from rig_cli.command_groups import COMMANDS
 from rig_cli.console import StepProgress, notify, print_json
 from rig_cli.options import Json
 from rig_configs.drivers import installed, load_driver
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 _THOROUGH_WEIGHT = 300.0  # of the test with 10⁶ inputs in the bar of progress
 
-app: App = App(name="driver", help=f"{COMMANDS['driver'].sentence}\n\nExample: `rig driver check optoncdt`")
+app: App = App(name="driver")
 
 
 @app.command(name="list")

@@ -71,7 +71,7 @@ def commands(loaded: Collection[str] = ()) -> App:
     for number, (title, group) in enumerate(GROUPS.items()):
         panel = Group(title, sort_key=number)
         for place, (name, command) in enumerate(group.items()):
-            line = None if name in loaded else command.sentence  # the module is imported when its command is called
+            line = command.own_help if name in loaded else command.sentence  # a command is imported when it is called
             app.command(command.place, name=name, help=line, group=panel, sort_key=place)
     for flag in ("--help", "--version"):
         app[flag].group = (_THIS_PROGRAM,)

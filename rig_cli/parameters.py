@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
 from rig_cli.option_groups import OUTPUT
@@ -23,10 +22,7 @@ if TYPE_CHECKING:
     from identification.history import History
     from identification.joint.limits import ParameterLimit
 
-app: App = App(
-    name="parameters",
-    help=f"{COMMANDS['parameters'].sentence}\n\nExample: `rig parameters diff before.toml after.toml`",
-)
+app: App = App(name="parameters")
 app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]

@@ -11,7 +11,6 @@ from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
 from rig_basics.whole_file import write_whole_text
-from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json, RigFile, Settings
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from studies.archive import Reidentified
     from studies.campaigns import CampaignResults
 
-app: App = App(name="study", help=f"{COMMANDS['study'].sentence}\n\nExample: `rig study campaigns`")
+app: App = App(name="study")
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; its study continues")]
 
 

@@ -10,18 +10,13 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from rig_cli.command_groups import COMMANDS
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, RigFile, Settings
 from rig_configs import RigFileError, load_rig
 
-app: App = App(
-    name="virtual",
-    help=f"{COMMANDS['virtual'].sentence}\n\nIts ports are printed as one JSON line. Ctrl-C or `rig virtual stop` "
-    "ends it.\n\nExample: `rig virtual`",
-)
+app: App = App(name="virtual")
 
 DeviceName = Annotated[str, Parameter(help="its name in the rig file")]
 Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]

@@ -73,6 +73,8 @@ def test_the_overview_imports_no_command() -> None:
 def test_the_help_of_a_command_has_one_example_that_it_accepts(
     capsys: pytest.CaptureFixture[str], path: tuple[str, ...]
 ) -> None:
+    overview = commands()
+    assert overview[path[1]].help == COMMANDS[path[1]].sentence, "another command line of this process"
     examples = EXAMPLE.findall(re.sub(r" +$", "", shown(capsys, *path[1:]), flags=re.MULTILINE))
     assert len(examples) == 1
     words = shlex.split(examples[0])
