@@ -385,8 +385,10 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     parameters, messages = physical_parameters(parameters, work.rig)
     warnings += messages
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
-    to_record = advice(missing, runs, work.rig.roles) if missing else ""
-    warnings += [f"not identified: {', '.join(missing)}; {to_record}"] if missing else []
+    to_record = ""
+    if missing:
+        to_record = advice(missing, runs, work.rig.roles)
+        warnings.append(f"not identified: {', '.join(missing)}; {to_record}")
     drag = work.drag
     torques = {**kept_friction(work.friction(), work.open_friction()), **(drag.drag.table if drag else {})}
     facts = _provenance(runs, work, rows, torques)

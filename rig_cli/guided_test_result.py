@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING, Any, Literal
 
 from rig_basics.errors import RigError
@@ -10,11 +11,12 @@ if TYPE_CHECKING:
     from daq.guided_tests.runner import TestDone
     from daq.log import Log
 
+_log = logging.getLogger(__name__)
 _RING_DOWNS: dict[str, Literal["x", "y"]] = {"ring-down-x": "x", "ring-down-y": "y"}
 
 
 def result_sentence(done: TestDone) -> str:
-    """Return what a test gave. An error of the fit or of the log does not change the exit code of the test."""
+    """Return what a test gave. No error of the fit or of the log changes the exit code of a test that is recorded."""
     if done.missed:
         return f"{done.test} did not reach its end: {done.missed}; {_recorded(done)}."
     if done.runs:
@@ -41,10 +43,11 @@ def _ring_down(done: TestDone, axis: Literal["x", "y"]) -> str:
         run = load_run(done.log)
         time_s, displacement_m = (run.x_time_s, run.x_m) if axis == "x" else (run.y_time_s, run.y_m)
         found = fit_ring_down(time_s, displacement_m, setting="fast", axis=axis)
-    except RigError as error:
+        mode = "1" if axis == "x" else "2"
+        f_Hz, zeta = found.values[f"f{mode}_Hz"], found.values[f"zeta{mode}"]
+    except Exception as error:
+        _log.info("%s: quick fit: %s", done.log, error, exc_info=not isinstance(error, RigError))
         return f"no quick result ({error})"
-    mode = "1" if axis == "x" else "2"
-    f_Hz, zeta = found.values[f"f{mode}_Hz"], found.values[f"zeta{mode}"]
     return f"f{mode} = {f_Hz:.4g} Hz, ζ{mode} = {100 * zeta:.3g} %"
 
 

@@ -165,6 +165,7 @@ def validate(
     Example: `rig validate my.toml out --parameters parameters.toml`
     """
     from daq.log.rig_of_logs import RigUse, rig_of_logs
+    from studies.runs import load_runs
     from studies.validated_runs import keep_verdicts, validated
 
     _check_validation(report, force)
@@ -175,7 +176,7 @@ def validate(
     changed = overridden(identified, settings or [])
     known = identified.without(changed)
     use = RigUse.relying_on_estimates("rig validate", identified)
-    runs, unused = readable_runs(places)
+    runs = load_runs(places.logs)  # all of them: a verdict without a log of its folder would not show what is missing
     loaded = rig_of_logs([run.source for run in runs], use, rig, identified, settings or [])
     angle = axis.checked()
     what_if = list(settings or [])
@@ -189,7 +190,6 @@ def validate(
         warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
         notify(f"warning: {warning}")
-    warnings = [*unused, *warnings]
     if report is not None:
         _write_report(report, _Validated(loaded, runs, known, found, angle, what_if, warnings))
     if json:

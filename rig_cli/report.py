@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show, status_line
 from rig_cli.last_sentence import validation_sentence
-from rig_cli.log_places import logs_of, readable_runs
+from rig_cli.log_places import logs_of
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, ParametersPath, check_outputs
 from rig_configs import IdentifiedParameters, RigFileError
@@ -50,6 +50,7 @@ def report(
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
+    from studies.runs import load_runs
     from studies.validated_runs import validated
 
     logs = logs_of("rig report", places, "FOLDER|LOG…")
@@ -58,7 +59,8 @@ def report(
     given = None if parameters is None else IdentifiedParameters.load(parameters)
     use = RigUse("rig report") if given is None else RigUse.relying_on_estimates("rig report", given)
     with status_line(f"reading {len(logs.logs)} logs") as notify_status:
-        runs = sorted(readable_runs(logs)[0], key=lambda run: run.start_s)
+        # a verdict without a log of its folder would not show what is missing: a log that cannot be read is refused
+        runs = sorted(load_runs(logs.logs), key=lambda run: run.start_s)
         loaded = rig_of_logs([run.source for run in runs], use, rig)
         points = [run for run in runs if point_of(run.test)]
         before, joint = _identified(runs, points, loaded, given, notify_status)

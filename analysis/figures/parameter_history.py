@@ -23,7 +23,7 @@ _COLUMNS = 2
 _OUT = "#CC3311"
 _MAX_PANEL_RATIO = 9.0  # panel height over the range of the joint intervals, so that these remain readable
 _MARGIN = 0.08
-_LEAST_DAYS = 1e-3
+_LEAST_DAYS = 1e-3  # an axis of less than 86 s has ticks of fractions of a second, or none
 _MAX_WRITTEN = 2  # off-scale values that are written out
 _FOOT = (
     "Panels contain single logs' values up to nine times the range of the joint intervals; an interval may leave its "
@@ -80,7 +80,7 @@ def draw_parameter_history(
         for axes in panels[len(units) :]:
             axes.set_visible(False)
         days = _days([v for v in (*joint, *single, *changes) if v.name in units])
-        if len(days) and np.ptp(days) < _LEAST_DAYS:  # one instant: an axis of microseconds has no dates
+        if len(days) and np.ptp(days) < _LEAST_DAYS:  # one instant
             panels[0].set_xlim(days[0] - 0.5, days[0] + 0.5)
         for axes in panels[max(0, len(units) - _COLUMNS) : len(units)]:
             locator = AutoDateLocator(maxticks=7)

@@ -32,7 +32,8 @@ _PLAY_RAD = np.radians(1.0)  # of a closed lock, as in daq.acquisition.lock_posi
 _FIRST_S = 1.0  # of a record, whose angles are those of the locks
 _WRAPPED_RAD = 2.2 * np.pi  # range of a phase that is known within a turn only
 _LEAST_JUMP_RAD = 0.1
-_LEAST_ENCODER_JUMP_RAD = 0.05  # in one sample of 1 ms: a change of speed by 50 rad/s; a hand's flick has 0.2
+_LEAST_ENCODER_JUMP_RAD = 0.05  # above the noise of any encoder
+_PUSH_RAD_S2 = 2e3  # twice the acceleration of a pendulum by a quick flick, 10 rad/s in 10 ms
 _STEPS_EACH_SIDE = 2  # steps of a phase before and after a step, whose median speed is that without a jump
 _GAP_STEPS = 1.5  # steps of the samples; over a gap a flick changes the speed unseen
 _JUMP_SPREADS = 20.0  # median deviations of the steps, which contain the noise of the phase
@@ -155,7 +156,9 @@ def encoder_jumps(time_s: Array, angle_rad: Array) -> list[RotorDoubt]:
     found: list[RotorDoubt] = []
     for name, angle in zip("AB", angle_rad.T, strict=False):
         good = np.isfinite(angle)
-        for size, at_s in _jumps(time_s[good], angle[good], _LEAST_ENCODER_JUMP_RAD):
+        step_s = float(np.median(np.diff(time_s[good]))) if np.count_nonzero(good) > 1 else 0.0
+        least_rad = max(_LEAST_ENCODER_JUMP_RAD, _PUSH_RAD_S2 * step_s**2)
+        for size, at_s in _jumps(time_s[good], angle[good], least_rad):
             found.append(RotorDoubt("encoder jump", size, at_s, pendulum=name))
     return found
 

@@ -59,6 +59,14 @@ class Far:
         self.answer(pong, self.there_ns + self.back_ns + 40_000 * self.pings)  # answers wait more and more
 
 
+class Impatient(queue.Queue[Any]):
+    """A queue whose `get` does not wait."""
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        del block, timeout
+        return super().get(block=False)
+
+
 class Wound(HostClock):
     """A clock that passes when something waits on it."""
 
@@ -74,15 +82,7 @@ class Wound(HostClock):
         return self._far.now_ns * 1e-9
 
     def queue(self) -> Any:
-        found: queue.Queue[Any] = queue.Queue()
-        get = found.get
-
-        def without_waiting(timeout: float) -> Any:
-            del timeout
-            return get(block=False)
-
-        found.get = without_waiting  # type: ignore[method-assign]
-        return found
+        return Impatient()
 
 
 @given(there_ms=st.floats(0.1, 20), back_ms=st.floats(0.1, 20), lost=st.frozensets(st.integers(1, 20), max_size=19))

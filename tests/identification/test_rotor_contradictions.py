@@ -106,6 +106,13 @@ def test_a_flick_or_a_gap_is_no_slip() -> None:
     assert encoder_jumps(time[kept], angle[kept]) == []
 
 
+def test_a_short_push_at_a_low_rate_is_no_slip() -> None:
+    time = np.arange(0.0, 3.0, 1e-2)
+    speed = 12.0 * np.exp(-(((time - 1.0) / 0.012) ** 2))
+    angle = np.column_stack([np.cumsum(speed) * 1e-2, np.zeros(len(time))])
+    assert encoder_jumps(time, angle) == []
+
+
 def test_a_log_of_sound_marks_is_left_alone() -> None:
     for passage in (PASSAGE, Passage(ramp(0.5, 7.0, 20.0), 20.0, rate_Hz=200.0)):
         run = passage.run()

@@ -85,9 +85,22 @@ def test_identify_takes_a_folder(capsys: pytest.CaptureFixture[str], campaign: P
 
 
 def test_validate_takes_a_folder(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path) -> None:
-    code, found = answer(capsys, "validate", "virtual", campaign, "--parameters", known(tmp_path / "p.toml"))
+    parameters = known(tmp_path / "p.toml")
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    shutil.copy(campaign / "logs/b.mcap", whole)
+    code, found = answer(capsys, "validate", "virtual", whole, "--parameters", parameters)
     assert (code, list(found["points"])) == (0, ["B"])
-    assert any("a-broken.mcap" in text for text in found["warnings"])
+
+
+@pytest.mark.parametrize("command", [("validate", "virtual"), ("report",)])
+def test_no_verdict_is_given_without_a_log_of_its_folder(
+    capsys: pytest.CaptureFixture[str], campaign: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    code, found = answer(capsys, *command, campaign, "--parameters", known(tmp_path / "p.toml"))
+    assert code == 2
+    assert "a-broken.mcap" in found["error"]
+    assert not (campaign / "report.html").exists()
 
 
 def test_track_takes_those_logs_of_a_folder_in_which_pendulums_swing(
