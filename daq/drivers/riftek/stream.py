@@ -15,7 +15,8 @@ accuracy of a loss count depends on the loss:
   guard is never found.
 
 `far_ns` is the largest of 30 ms, eight periods and three guards. Results between losses of three, one by one, look like
-a stuck line. A sensor that was switched off and on gives a gap like any other, because the line does not show the difference.
+a stuck line. A sensor that was switched off and on gives a gap like any other, because the line does not show the
+difference.
 """
 
 from __future__ import annotations
