@@ -5,7 +5,10 @@
       │ too many: oldest closed     └─▶ all else is handed over, with the bytes read so far
 
 One thread does this and nothing else: no drawing, no file, no wait for a viewer. A connection costs others nothing
-until its request has passed the guard. Connections are limited in number and time and counted by address.
+until its request has passed the guard. Connections are limited in number and time and counted by address: of
+`MOST_ASKING` without a whole request, the oldest of the address with most of them is closed. A file is kept in reserve.
+
+A response ends its connection. A browser would otherwise send STOP on one that belongs to the page's process.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ STOP_PATH = "/stop"
 MOST_ASKING, MOST_ANSWERED = 256, 64
 """Connections without a whole request, and those that wait for the answer of STOP or read it. Together with
 those that wait to be handed over they remain far below the 1 024 files of a process."""
-_ASKING_S, _ANSWER_S, _READING_S = 5.0, 2.0, 1.0
+_ASKING_S, _ANSWER_S, _READING_S = 5.0, 2.0, 1.0  # for a request, the answer of STOP, and reading it
 _MAX_HEAD_BYTES, _READ_BYTES = 16 * 1024, 16 * 1024
 _ACCEPTED_AT_ONCE = 64  # then those that have sent something get their turn
 _MOST_ADDRESSES, _OTHERS = 32, "other addresses"

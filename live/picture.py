@@ -28,7 +28,9 @@ STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
 _VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")
 _TURNED = {"theta3": "turned3", "theta4": "turned4"}  # angles are kept unwrapped, in rad
 STALE_S = 0.6
-"""Wall time without a sample after which a panel is marked, s; the page checks 30 times per second."""
+"""Wall time without a sample after which a panel is marked, s; the page checks 30 times per second.
+
+The page marks a line that has been silent for 0.7 s."""
 _MAX_WINDOW_S, _MIN_WINDOW_S = 1e6, 0.02
 _MAX_PIXELS, _MIN_PIXELS = 4000, 50
 _ORBIT_TURNS, _ORBIT_S, _ORBIT_POINTS = 2.0, (0.1, 1.0), 600

@@ -530,7 +530,8 @@ class Session:
         Args:
             path: of the log.
             metadata: facts of the run.
-            before_s: length of the pre-trigger, s; at most `daq.acquisition.core.PAST_S`.
+            before_s: length of the pre-trigger, s; at most `daq.acquisition.core.PAST_S`. The bytes that were
+                kept of every device pass through the new pipelines first.
         """
         if self._log.recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})

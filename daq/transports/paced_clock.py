@@ -6,7 +6,9 @@ are 6 s without samples. The bytes are late by the same factor. Device clocks th
 bytes then wander by milliseconds, and a constant speed seems to change.
 
 Time therefore advances in steps of `_STEP_S`. It stops after each step until the rig has simulated the motion up to
-that time and the host has fetched every byte.
+that time and the host has fetched every byte. It does not wait for a side that has not responded for 2 s, nor for a
+cable that no process reads for 0.5 s. Fetching every byte keeps the lag from which clock maps are estimated at 0.03 to
+0.2 ms (2 to 6 ms if the clock stops only after 25 ms), for a sixth of the speed.
 
 Both processes map one small file. The monotonic clock is common to all processes of a machine, so the words of the file
 at one instant give the same time in both processes.

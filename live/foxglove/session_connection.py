@@ -17,7 +17,10 @@ from live.newest import Newest
 from rig_configs.schema import Rig
 
 HOLD_S = 0.25
-"""Wall time for which samples are held back, s, so that those of a slow radio are sent in order with the others."""
+"""Wall time for which samples are held back, s, so that those of a slow radio are sent in order with the others.
+
+Samples arrive by the hundred at one host time, and Lichtblick, which uses the server's clock (capability `time`),
+starts its plots again if that goes back. Samples that are still later keep their time, and the clock waits."""
 _MAX_NOTES = 2000
 
 

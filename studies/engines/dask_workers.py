@@ -3,6 +3,8 @@
 dask keeps results in the memory of its workers and loses them with its scheduler. Results are therefore fetched and
 released at once, only a few tiles per worker are submitted at a time, and the unfinished tiles of a lost scheduler are
 submitted again to the next one at the same address.
+
+A repeated short wait and a check of the client's state distinguish a dead scheduler from slow work.
 """
 
 from __future__ import annotations
