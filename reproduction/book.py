@@ -20,7 +20,7 @@ from rig_basics.whole_file import write_whole_text
 
 _TEMPLATE = "book.html.j2"
 _TONES = 15  # levels of each colour in the small copies of the figures for the docs
-_WRITTEN = "<!-- Written by `rig reproduce --all --docs FOLDER`; do not edit this page. -->"
+_WRITTEN = "<!-- Written by `rig reproduce` for all items; do not edit this page. -->"
 _CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
 
 

@@ -36,7 +36,7 @@ def test_the_architecture_page_shows_both(drawings: ModuleType) -> None:
     assert all(mark in page for mark in drawings.MARKS)
 
 
-def test_a_flow_that_no_module_knows_is_refused(drawings: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flow_between_strangers_is_refused(drawings: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drawings, "FLOWS", (*drawings.FLOWS, ("interlocks", "report", "")))
     with pytest.raises(LookupError, match="interlocks → report: no module imports"):
         drawings.way_of_data()

@@ -20,7 +20,7 @@ HEAD = """# Misprints of the source
 <!-- Written by `python -m dynamics.derivation.misprints`; edit that module, not this page. -->
 
 The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University, 2006. Its
-printed equations are compared with the derivation from energies ([equations_of_motion.md](equations_of_motion.md)).
+printed equations are compared with the derivation from energies ([equations_of_motion.md](../theory/equations_of_motion.md)).
 Both are SymPy objects (`dynamics/derivation/source_equations.py`, `lagrange.py`), compared cell by cell. The project
 uses none of the printed equations.
 
