@@ -2,7 +2,7 @@
 
 For given rates the limits and amplitudes are linear and are integrated analytically. The rates are integrated over a
 grid in log λ that is moved, rotated and refined until it resolves the posterior. Used by daq.signals.limit.
-Source: docs/theory/steady_states.md, "Where it ends".
+Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 """
 
 from __future__ import annotations

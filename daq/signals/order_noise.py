@@ -5,7 +5,7 @@ leak into the vector. The coefficients at k/m of the rotor's frequency, with k n
 and the same leakage. They contain no motion except the leakage of a changing vector, which is computed from the change
 and removed. Their power, interpolated to k = m as a power law, is the vector's variance for any noise spectrum.
 Differences of neighbouring samples contain the white part only.
-Source: docs/theory/steady_states.md, "Noise that is not white".
+Source: docs/theory/detection_of_steady_states.md, "Noise that is not white".
 """
 
 from __future__ import annotations
