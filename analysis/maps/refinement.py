@@ -3,8 +3,8 @@
 Claim: on the finest grid the classes are those of the full grid, except for islands without a computed point. Proof:
 let a point that was not computed have the wrong class. The corners of the cells around it all have the class a that the
 point was given; otherwise they and the point would have been computed. So every wrong point that touches it, and every
-correct point that touches the patch of wrong ones, was given a too: the patch is surrounded by a, and no point of it was
-computed.
+correct point that touches the patch of wrong ones, was given a too: the patch is surrounded by a, and no point of it
+was computed.
 """
 
 from __future__ import annotations
