@@ -12,7 +12,8 @@ from sphinx.util import logging
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
-from built_pages import faults_of_site, mathjax
+from built_pages import far_pages, faults_of_site, mathjax
+from drawings import with_drawings
 
 DISTRIBUTION = "pendulum-balancer-rig"
 
@@ -45,7 +46,8 @@ mathjax_path = mathjax().name
 
 html_theme = "furo"
 html_title = f"{project} {release}"
-html_static_path = [str(mathjax())]
+html_static_path = [str(mathjax()), "_ext/drawings.css"]
+html_css_files = ["drawings.css"]
 
 autodoc_member_order = "groupwise"
 autodoc_typehints = "signature"
@@ -97,6 +99,10 @@ def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
     source[0] = source[0].replace(OVERVIEW_MARK, overview()) + reference()
 
 
+def _draw(app: Any, docname: str, source: list[str]) -> None:
+    source[0] = with_drawings(source[0])
+
+
 def _require_wheel(app: Any) -> None:
     """Raise an error if the packages are imported from the working tree instead of the installed wheel."""
     import daq  # imported only while the documentation is built
@@ -108,9 +114,10 @@ def _require_wheel(app: Any) -> None:
 
 
 def _check_pages(app: Any, exception: Exception | None) -> None:
-    """Warn of each page that needs the network or shows an option without its hyphens."""
+    """Warn of each page that needs the network, shows an option without its hyphens, or is far from the first page."""
     if exception is None and app.builder.name == "html":
-        for fault in faults_of_site(Path(app.outdir)):
+        far = [f"{page}: more than two clicks from the first page" for page in far_pages(app.env.toctree_includes)]
+        for fault in [*faults_of_site(Path(app.outdir)), *far]:
             logging.getLogger("built_pages").warning(fault)
 
 
@@ -118,5 +125,6 @@ def setup(app: Any) -> None:
     """Register the docstring conversion ahead of napoleon (priority 500)."""
     app.connect("builder-inited", _require_wheel)
     app.connect("source-read", _add_command_reference)
+    app.connect("source-read", _draw)
     app.connect("build-finished", _check_pages)
     app.connect("autodoc-process-docstring", _process_docstring, priority=400)

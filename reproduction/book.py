@@ -1,4 +1,4 @@
-"""All items in one self-contained HTML file, and the same verdicts as a page of the docs."""
+"""All items in one self-contained HTML file, and the same verdicts as pages of the docs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from markupsafe import Markup
 from matplotlib import image
 
 from daq.version import software_version
+from reproduction.catalogue import Page, pages
 from reproduction.files import Written
 from rig_basics.whole_file import write_whole_text
 
 _TEMPLATE = "book.html.j2"
 _TONES = 15  # levels of each colour in the small copies of the figures for the docs
+_WRITTEN = "<!-- Written by `rig reproduce --all --docs FOLDER`; do not edit this page. -->"
 _CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
 
 
@@ -76,14 +78,17 @@ def _cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def write_docs(page: Path, made: Sequence[Written]) -> None:
-    """Write the verdicts as Markdown, and small copies of the figures into a folder of the page's name next to it."""
-    figures = page.with_suffix("")
-    figures.mkdir(parents=True, exist_ok=True)
+def write_docs(folder: Path, made: Sequence[Written]) -> None:
+    """Write the verdicts as pages in Markdown, and small copies of the figures into the folder "figures"."""
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
     for one in made:
         for panel in one.record["panels"]:
-            _small_copy(one.folder / f"{panel['name']}.png", figures / _figure_name(one, panel))
-    write_whole_text(page, docs_page(made, figures.name))
+            _small_copy(one.folder / f"{panel['name']}.png", folder / "figures" / _figure_name(one, panel))
+    by_item = {one.item: one for one in made}
+    on_pages = {page: [by_item[item] for item in items] for page, items in pages(by_item).items()}
+    write_whole_text(folder / "index.md", _overview(made, on_pages))
+    for page, ones in on_pages.items():
+        write_whole_text(folder / f"{page.name}.md", _items_page(page.title, ones))
 
 
 def _small_copy(figure: Path, copy: Path) -> None:
@@ -98,46 +103,56 @@ def _figure_name(one: Written, panel: Mapping[str, str]) -> str:
     return f"{one.item.id}-{panel['name']}.png"
 
 
-def docs_page(made: Sequence[Written], figures: str) -> str:
-    """Return the page in Markdown: every figure, and every claim with its verdict and the numbers that decide it.
-
-    Args:
-        figures: folder of the figures, relative to the page.
-    """
+def _overview(made: Sequence[Written], on_pages: Mapping[Page, Sequence[Written]]) -> str:
+    """Return the book's first page: its source, the claims that do not hold with links to their numbers, the pages."""
     counts = counts_of(made)
     lines = [
         "# The source, reproduced",
         "",
-        "<!-- Written by `rig reproduce`; run it for all items with this page as its docs, do not edit this page. -->",
+        _WRITTEN,
         "",
         "The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University,",
         "2006. `rig reproduce` computes its figures and tables again, with their data, and judges its claims. The",
         "statements are in our words.",
-        "Wrong equations are in [misprints.md](theory/misprints.md).",
         "",
         f"{sum(counts.values())} claims: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
         "",
         "## Claims that do not hold, or hold in part",
         "",
-        "| item | where | claimed | | computed |",
-        "|---|---|---|---|---|",
+        "| item | where | claimed | |",
+        "|---|---|---|---|",
     ]
-    wrong = [(one.item.id, claim) for one in made for claim in one.claims if claim["verdict"] != "holds"]
-    lines += [f"| {number} | {_row(claim)}" for number, claim in wrong]
-    for one in made:
+    lines += [
+        _row(f"[{one.item.id}]({page.name}.md)", claim["place"], claim["statement"], _verdict(claim))
+        for page, ones in on_pages.items()
+        for one in ones
+        for claim in one.claims
+        if claim["verdict"] != "holds"
+    ]
+    names = [page.name for page in on_pages]
+    return "\n".join([*lines, "", "```{toctree}", ":maxdepth: 1", *names, "misprints", "```"]) + "\n"
+
+
+def _items_page(title: str, items: Sequence[Written]) -> str:
+    """Return a page of items: every figure, and every claim with its verdict and the numbers that decide it."""
+    lines = [f"# {title}", "", _WRITTEN]
+    for one in items:
         lines += ["", f"## {one.item.id}: {one.item.title}", ""]
         if one.failed:
             lines += [f"Not reproduced: {one.failed}"]
             continue
         for panel in one.record["panels"]:
-            lines += [f"![{panel['description']}]({figures}/{_figure_name(one, panel)})", "", panel["description"], ""]
+            lines += [f"![{panel['description']}](figures/{_figure_name(one, panel)})", "", panel["description"], ""]
         lines += [f"- Assumed: {text}" for text in one.record["assumed"]] + ["" for _ in one.record["assumed"][:1]]
         lines += ["| where | claimed | | computed |", "|---|---|---|---|"]
-        lines += [f"| {_row(claim)}" for claim in one.claims]
+        lines += [_row(claim["place"], claim["statement"], _verdict(claim), claim["computed"]) for claim in one.claims]
     return "\n".join(lines) + "\n"
 
 
-def _row(claim: Mapping[str, str]) -> str:
-    verdict = claim["verdict"] if claim["verdict"] == "holds" else f"**{claim['verdict']}**"
-    cells = (claim["place"], claim["statement"], verdict, claim["computed"])
-    return " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def _verdict(claim: Mapping[str, str]) -> str:
+    return claim["verdict"] if claim["verdict"] == "holds" else f"**{claim['verdict']}**"
+
+
+def _row(*cells: str) -> str:
+    escaped = (cell.replace("|", "\\|") for cell in cells)
+    return f"| {' | '.join(escaped)} |"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from reproduction.errors import UnknownItem
@@ -35,6 +35,15 @@ class Item:
         """Import and return the function."""
         module, name = self.place.split(":")
         return getattr(importlib.import_module(f"reproduction.items.{module}"), name)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of the book in the docs: its file's name, its title, and the number of the first of its items."""
+
+    name: str
+    title: str
+    first: str
 
 
 ITEMS: tuple[Item, ...] = (
@@ -98,6 +107,32 @@ ITEMS: tuple[Item, ...] = (
     Item("open-step", "Open question: a sudden change of the imbalance", "open_questions:imbalance_step", 5.0),
     Item("script", "The run-up program, faulty and right", "run_up_script:run_up_script", 5.0),
 )
+
+
+PAGES = (
+    Page("rotor_alone", "The rotor alone", "2.2"),
+    Page("singular_points", "Singular points and their stability", "3.2"),
+    Page("imbalance_and_pivots", "Amplitude and positions over imbalance and pivot", "3.11"),
+    Page("repeated_start_ups", "Balls and pendulums, start-up by start-up", "3.27"),
+    Page("stable_areas", "Stable areas and multipliers", "4.1"),
+    Page("validation_points", "The points A to E", "4.10"),
+    Page("open_questions", "Open questions", "open-lost-points"),
+    Page("run_up_program", "The run-up program", "script"),
+)
+
+
+def pages(items: Iterable[Item]) -> dict[Page, list[Item]]:
+    """Return the items of each page that has any, in the source's order."""
+    first = {page.first: page for page in PAGES}
+    wanted = set(items)
+    found: dict[Page, list[Item]] = {}
+    of_page: list[Item] = []
+    for item in ITEMS:
+        if item.id in first:
+            found[first[item.id]] = of_page = []
+        if item in wanted:
+            of_page.append(item)
+    return {page: of_page for page, of_page in found.items() if of_page}
 
 
 def chosen(ids: Sequence[str]) -> list[Item]:

@@ -27,7 +27,7 @@ def reproduce(
         "out/reproduction"
     ),
     jobs: Annotated[WholeCount | None, Parameter(help="processes; default: one a processor")] = None,
-    docs: Annotated[Path | None, Parameter(help="write the verdicts as Markdown too, with their figures")] = None,
+    docs: Annotated[Path | None, Parameter(help="folder for the verdicts as pages in Markdown, with figures")] = None,
     json: Json = False,
 ) -> int:
     """Reproduce figures and tables of the source and judge its claims.

@@ -92,6 +92,10 @@ class DisplacementTable(RigTable):
     """Numbers of one sensor of the column's motion: those of a whole device, or of one of its signals.
 
     Attributes:
+        axis: "x" or "y".
+        range_m: measuring range, m; displacement 0 is its middle. `range_std_m` is its standard uncertainty.
+        lever_ratio: displacement at the sensor over that of the disk centre, with its standard uncertainty.
+        gain_std: relative standard uncertainty of the sensor's calibration.
         gain_factor: displacement over the displacement that the driver computes, which every sample is multiplied by;
             `gain_std` is its relative standard uncertainty.
         offset_m: displacement of the disk centre that is added after that, and its standard uncertainty offset_std_m.
@@ -182,7 +186,12 @@ DISPLACEMENT_CALIBRATION = (
 
 
 class SampledTable(DisplacementTable):
-    """A sensor of the column's motion with a sample rate and a clock of its own."""
+    """A sensor of the column's motion with a sample rate and a clock of its own.
+
+    Attributes:
+        rate_Hz: samples per second.
+        clock_tolerance_ppm: standard uncertainty of the rate of the sensor's clock, ppm.
+    """
 
     rate_Hz: Positive
     clock_tolerance_ppm: Positive = 30.0
@@ -224,6 +233,13 @@ class RotorNodeSettings(DeviceSettings):
     """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any.
 
     Attributes:
+        rate_Hz: samples per second.
+        counts_per_revolution: counts of an encoder for one revolution.
+        index_angle_deg: ψ (imbalance direction from +x) at the index mark, degrees, with its standard uncertainty.
+        zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction, degrees.
+        clock_tolerance_ppm: standard uncertainty of the rate of the node's clock, ppm.
+        locks: whether the rig commands locks of this node.
+        node: number of the rig's node; None: the first one that sends samples.
         index_marks: whether its index marks are the rig's rotor phase. If not, they are ignored: another device marks
             the rotor's phase, or the node has no index sensor.
         angles: whether its encoders measure the pendulums' angles for the rig. Otherwise another device does, and only

@@ -61,3 +61,9 @@ def test_all_pages_of_a_site_are_checked(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("<p>fine</p>", encoding="utf-8")
     (tmp_path / "how-to" / "operator.html").write_text("<p>–ask</p>", encoding="utf-8")
     assert _check().faults_of_site(tmp_path) == [f"{Path('how-to/operator.html')}: option without its hyphens: –ask"]
+
+
+def test_a_page_three_clicks_away_is_found() -> None:
+    contents = {"index": ["how-to/index"], "how-to/index": ["how-to/operator"], "how-to/operator": ["how-to/stop"]}
+    assert _check().far_pages(contents) == ["how-to/stop"]
+    assert _check().far_pages({**contents, "index": ["how-to/index", "how-to/operator"]}) == []

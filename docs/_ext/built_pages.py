@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 # One file with all glyphs as outlines: browsers refuse font files next to a page that was opened from a disk.
@@ -29,6 +30,19 @@ def faults(html: str) -> list[str]:
     return [f"from the network: {tag}" for tag in loaded] + [
         f"option without its hyphens: {option}" for option in _CHANGED_OPTION.findall(_TAG.sub("\n", html))
     ]
+
+
+def far_pages(contents: Mapping[str, Sequence[str]], first: str = "index", clicks: int = 2) -> list[str]:
+    """List the pages that a reader does not reach in so many clicks through the contents of pages.
+
+    Args:
+        contents: the pages in the contents of each page that has contents.
+    """
+    near = reached = {first}
+    for _ in range(clicks):
+        reached = {page for name in reached for page in contents.get(name, ())}
+        near |= reached
+    return sorted({page for pages in contents.values() for page in pages} - near)
 
 
 def faults_of_site(folder: Path) -> list[str]:

@@ -1,7 +1,7 @@
 """Equations of motion from energies with SymPy, and the comparison of the source's printed equations with them.
 
 They verify the compiled kernel (tests/dynamics/test_derivation.py). `dynamics` itself does not import them.
-Text: docs/theory/equations_of_motion.md, docs/theory/misprints.md.
+Text: docs/theory/equations_of_motion.md, docs/book/misprints.md.
 """
 
 import lazy_loader

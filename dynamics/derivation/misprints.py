@@ -1,6 +1,6 @@
 """List of the source's misprints, generated from the derivation: `python -m dynamics.derivation.misprints`.
 
-Every number is computed when the list is generated. docs/theory/misprints.md is the output of this module; a test
+Every number is computed when the list is generated. docs/book/misprints.md is the output of this module; a test
 compares them.
 """
 
@@ -179,7 +179,7 @@ def multiplier_section() -> list[str]:
 
 
 def text() -> str:
-    """Text of docs/theory/misprints.md."""
+    """Text of docs/book/misprints.md."""
     points = ", ".join(f"{name} (Ω = {ratio})" for name, ratio in POINTS.items())
     wrong = sum(not c.agrees for c in comparisons())
     vague = sum(not d.agrees for d in definitions())

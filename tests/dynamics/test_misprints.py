@@ -26,7 +26,7 @@ from dynamics.derivation.scenes import rig_values
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.kernels import rates
 
-LIST = Path(__file__).parents[2] / "docs" / "theory" / "misprints.md"
+LIST = Path(__file__).parents[2] / "docs" / "book" / "misprints.md"
 # Equations with their wrong cells; every other one printed agrees
 WRONG = {
     "2-9": {(1, 1)},
@@ -47,7 +47,7 @@ WRONG = {
 
 
 def test_the_list_is_what_its_generator_writes() -> None:
-    """After a change: python -m dynamics.derivation.misprints > docs/theory/misprints.md"""
+    """After a change: python -m dynamics.derivation.misprints > docs/book/misprints.md"""
     assert misprints.text() == LIST.read_text(encoding="utf-8")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from reproduction.book import write_book, write_docs
-from reproduction.catalogue import ITEMS, chosen
+from reproduction.catalogue import ITEMS, PAGES, chosen
 from reproduction.errors import UnknownItem
 from reproduction.items import rotor_alone
 from reproduction.running import reproduce
@@ -37,13 +37,15 @@ def test_the_book_has_figures_claims_and_what_does_not_hold(tmp_path: Path) -> N
     assert text.index("Claims that do not hold") < text.index("2.2 · ")
     assert "above resonance the printed form is 180° off" in text
     assert "http" not in text.replace("http://www.w3.org", ""), "nothing is fetched"
-    write_docs(tmp_path / "docs.md", made)
-    page = (tmp_path / "docs.md").read_text(encoding="utf-8")
-    assert "(docs/2.2-response.png)" in page
-    small, whole = (tmp_path / name for name in ("docs/2.2-response.png", "2.2/response.png"))
+    write_docs(tmp_path / "docs", made)
+    page = (tmp_path / "docs" / "rotor_alone.md").read_text(encoding="utf-8")
+    assert "(figures/2.2-response.png)" in page
+    assert "| (2-9) | The lag is the arc tangent" in page
+    small, whole = (tmp_path / name for name in ("docs/figures/2.2-response.png", "2.2/response.png"))
     assert 3000 < small.stat().st_size < whole.stat().st_size
-    assert "| 2.2 | (2-9) |" in page
-    assert "7 claims: holds 6, does not hold 1." in page
+    overview = (tmp_path / "docs" / "index.md").read_text(encoding="utf-8")
+    assert "| [2.2](rotor_alone.md) | (2-9) |" in overview
+    assert "7 claims: holds 6, does not hold 1." in overview
 
 
 def test_the_command_writes_the_same_from_two_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -70,15 +72,15 @@ def test_an_item_that_fails_leaves_the_others(
     assert "not made</span> ZeroDivisionError: no such speed" in text
 
 
-def test_the_page_of_the_docs_has_every_item() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "reproduction.md").read_text(encoding="utf-8")
-    headings = [line[3:] for line in page.splitlines() if line.startswith("## ")][1:]
-    assert headings == [f"{item.id}: {item.title}" for item in ITEMS], "rig reproduce --all --docs docs/reproduction.md"
-    assert "Not made" not in page
-    folder = Path(__file__).parents[2] / "docs"
-    shown = re.findall(r"\]\((reproduction/[^)]+)\)", page)
+def test_the_pages_of_the_docs_have_every_item() -> None:
+    book = Path(__file__).parents[2] / "docs" / "book"
+    text = "".join((book / f"{page.name}.md").read_text(encoding="utf-8") for page in PAGES)
+    headings = re.findall(r"^## (.*)", text, re.MULTILINE)
+    assert headings == [f"{item.id}: {item.title}" for item in ITEMS], "rig reproduce --all --docs docs/book"
+    assert "Not reproduced" not in text
+    shown = re.findall(r"\]\((figures/[^)]+)\)", text)
     assert len(shown) >= len(ITEMS)
-    assert all((folder / name).is_file() for name in shown)
+    assert {book / name for name in shown} == set((book / "figures").iterdir())
 
 
 def test_the_command_refuses_and_lists(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,9 @@
 
 Drives are delivered with different mappings, many without a speed. Many drives report changes only, so that a drive at
 rest sends nothing. The drive's mapping is read first and not changed if it is correct. A drive whose mapping cannot be
-read is assumed to be set up by hand. Source: CiA 301, PDO communication and mapping parameters.
+read is assumed to be set up by hand. A wrong mapping is written in this order: PDO off (bit 31 of 1400h or 1800h
+sub 1), type, inhibit time if above 100 ms, count 0, entries, count, PDO on. Source: CiA 301, PDO communication and
+mapping parameters.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Set-up of an encoder's reports (TPDO1 … 4): when it sends them, and what they contain.
 
-An encoder that refuses a part of it keeps the reports that it had. The message names the setting that works with it.
+An encoder that refuses a part of it keeps the reports that it had. The message names the setting that works with it:
+`sync = false` for a fixed transmission type (1800h sub 2) of 254 or 255, `sync = true` for a fixed 1, a lower `rate_Hz`
+for a refused period (6200h). A refused mapping (1A00h) is used as found if it contains the whole position at a byte
+limit, such as 6030h (16 bits) + 6004h (`a_offset`, bytes, in the identity); otherwise it is an error.
 """
 
 from __future__ import annotations

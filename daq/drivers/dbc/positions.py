@@ -5,7 +5,9 @@ counter began again in a gap. The host's times decide whether the jump leads int
 sensor started again, or the frame is damaged.
 
 Frames wait if their number does not decide (`Lateness`): late ones until the host's times show whether the counter has
-begun again, a jump at the end of a read until the next frame shows whether the number is damaged.
+begun again, a jump at the end of a read until the next frame shows whether the number is damaged. Frames that still
+wait at the end of a log are placed by their counter alone. Late frames show a restart if numbers do not continue, their
+lateness is at least `LATE_NS`, and it differs from whole cycles of the counter by at least `_REST_NS`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,15 @@
-"""Opening of a LabJack: identity, end of a stream that still runs, calibration constants, set-up and start."""
+"""Opening of a LabJack: identity, end of a stream that still runs, calibration constants, set-up and start.
+
+- identity: product 60000, firmware 60004, serial 60028
+- end of a running stream, else set-up is refused: 4990 = 0
+- earlier programs are undone; refusals are accepted: trigger 4024 = 0, external clock 4014 = 0, power of inputs
+  48005 = 1; a tachometer's line that is an output or, of a T4, analogue: one read of 2000 + line (FIO0 is 0, EIO0 is 8)
+  makes it a digital input
+- calibration from the flash: 61810 = 3C4000h, then 41 numbers (T7) or 19 (T4) at 61812
+- inputs: single-ended 41000 + n = 199, range 40000 + 2n
+- stream: scan rate 4002 (the rate kept is read back), inputs 4004, settling 4008 = 0, resolution 4010 = 0, buffer
+  4012 = 32768 bytes, target 4016 = 16, 4018 = 0, endless 4020 = 0, scan list 4100 + 2i, start 4990 = 1
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Volts from the counts of a stream, by the calibration constants in the device's flash.
 
-A T7 has for each range a slope above and one below the count of 0 V, a T4 a slope and an offset for each input.
+A T7 has for each range a slope above and one below the count of 0 V (the centre), for its high-speed converter; a T4 a
+slope and an offset for each input.
 """
 
 from __future__ import annotations

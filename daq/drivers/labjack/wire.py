@@ -1,6 +1,13 @@
 """Messages of a LabJack T4 or T7 on TCP port 502: Modbus TCP with the maker's function 76 ("Modbus feedback").
 
-All numbers are big-endian. Source: docs/protocols/labjack.md, which also states what is not verified.
+All numbers are big-endian. A message consists of transaction number u16 (an answer has that of its request), 0 u16,
+number of the bytes that follow u16, unit 1 u8, and function 4Ch u8. A request then contains parts
+``01 address count data`` (write) and ``00 address count`` (read), an answer the registers read. Function CCh is a
+refusal, with the exception in the next byte. Register 55000 then has the error: 2605 a stream runs, 2620 no stream
+runs, 2607 input cannot be streamed, 2608 scan rate too high.
+
+An answer to a stream read (register 4500) has number of samples, bytes that still wait, status, additional
+information, and samples of 16 bits in the order of the scan list. What is not verified: docs/protocols/labjack.md.
 """
 
 from __future__ import annotations

@@ -1,8 +1,11 @@
 """Packets that a node sent again because the base station did not confirm them: they come late, also out of order.
 
+The maker's nodes are first-in first-out, so that after late packets nothing is missing.
+
 The first late packet shows that the node sends packets again. From then on, packets after a gap wait for the one that
 fills it: for the duration of four packets, or for 1.5 times the longest delay so far, at most 2 s. Then the gap counts
-as a loss. Packets of a node that has not sent a late packet yet do not wait.
+as a loss. Packets of a node that has not sent a late packet yet do not wait. Eight consecutive packets more than a
+second older than the newest show that the beacon was set to an earlier time.
 """
 
 from __future__ import annotations

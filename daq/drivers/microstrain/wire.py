@@ -3,7 +3,20 @@
 Version 1: ``AA``, delivery flags u8, type u8, address u16, length u8, payload, RSSI of the node i8, RSSI of the base
 station i8, sum u16. The sum is that of the bytes from the flags to the end of the payload. Version 3: ``AC``, flags u8,
 type u8, address u32, length u16, payload, RSSI i8 i8, CRC-32 of all bytes before it. Numbers are big endian. Requests
-of version 1 have no RSSI bytes; those of version 3 have ``7F 7F``.
+of version 1 have no RSSI bytes; those of version 3 have ``7F 7F``. Delivery flags of requests to base station and
+node: 0Eh and 05h (version 1), 01h and 04h (version 3). With version 1 the base station sends a single ``AA`` after a
+request to a node, which is not damage.
+
+Sweeps, type 1Ah. Version 1: channel mask u16, rate code u8, mode and data type (4 bits each), tick u16, s u32, ns u32,
+values of one sweep after the other. Version 3: four unused bytes, mask u16, rate code u8, data type u8, tick u16, ns
+since 1970 u64, values. Tick and time are those of the first sweep.
+
+- Data types: 1 u16 without its lowest bit, 2 f32 calibrated by the node, 3 and 7 u16, 4 u32, 8 f32, 9 and 13 u24,
+  10 u16 · 4, 11 i24, 12 i16 · 64, 14 u16 · 256, 15 i16 / 10.
+- Rate codes: 113 − n for 2ⁿ Hz, 61 + n for n kHz up to 10, 46 for 300, 47 for 800, 48 for 1600, 49 for 3200, 98 for
+  887 Hz.
+- Older nodes, 8 channels: type 0Ah (version 1 only): mode u8, channel mask u8, rate code u8, data type u8, then as
+  above from the tick. Some use type 09h, otherwise low duty cycle; mode 2 distinguishes them.
 
 Source: the maker's open library (LORD-MicroStrain/MSCL). Unverified: the coding of RSSI in version 3.
 """

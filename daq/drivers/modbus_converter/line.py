@@ -1,4 +1,9 @@
-"""The host's requests to a converter: one at a time, commands before reads, answers matched to their request."""
+"""The host's requests to a converter: one at a time, commands before reads, answers matched to their request.
+
+A request follows 3.5 characters (at least 1.75 ms) after an answer, or `answer_s` after a request without one (late
+answers: `RequestLine`); reads pause for at most 3 `answer_s`. Commands are repeated up to three times, also after
+exceptions 5 and 6 (busy; INVT's 6 is a damaged request).
+"""
 
 from __future__ import annotations
 

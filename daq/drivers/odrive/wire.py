@@ -1,7 +1,27 @@
 """Frames of an ODrive's CANSimple protocol: a pure codec without bus and clock.
 
 The identifier has 11 bits: node << 5 | command. Numbers are little-endian, real numbers have 32 bits. A request is a
-remote frame with the identifier of its answer. Facts and their sources: docs/protocols/odrive.md.
+remote frame with the identifier of its answer [S]. "25 turns/s" to node 1 is 02Dh with ``00 00 C8 41 00 00 00 00`` [S],
+on the line ``t02D80000C84100000000`` [M]. From the controller:
+
+- 00h, on request: version: protocol, hardware (3), firmware (3), unreleased; firmware 0.6, and answered by some 0.5
+- 01h: heartbeat: error bits u32, state u8, three bytes that depend on the firmware
+- 03h, on request: 0.5: motor error u64; 0.6: active errors u32, reason of the last disarming u32
+- 04h, 1Dh, on request: 0.5: encoder error u32, controller error u32. 0.6: 04h and 05h carry parameters, not used
+- 06h, on request: 0.6: node u8, serial number 48 bits. 0.5: a 06h of the host changes the node's number, so it is not
+  sent
+- 09h: estimates: position f32 turns, speed f32 turns/s
+
+From the host:
+
+- 02h: emergency stop: error bit, no torque
+- 07h: state of the axis u32: 1 idle, 8 closed-loop control
+- 0Bh: control mode u32 (2 velocity), input mode u32 (1 passthrough: no ramp of the controller)
+- 0Dh: speed f32 turns/s, torque feed-forward f32 (always 0)
+- 18h: clears the errors
+
+Position of the serial number's bytes: message file [S]; spelling as 12 digits, highest byte first [U]. Further facts:
+docs/protocols/odrive.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,14 @@
-"""Set-up of an optoNCDT sensor: the commands of its manual in order, with checked answers."""
+"""Set-up of an optoNCDT sensor: the commands of its manual in order, with checked answers.
+
+``OUTPUT NONE`` until the line is silent and the command is answered, ``ECHO ON``, ``GETINFO``, ``OUTHOLD NONE``,
+``OUTREDUCEDEVICE NONE``, ``MASTERMV NONE``, ``TRIGGER NONE``, ``AVERAGE NONE``, ``MEASRATE``,
+``OUTADD_RS422 COUNTER TIMESTAMP``, ``GETOUTINFO_RS422``, ``OUTPUT RS422``. An answer ``E…`` ends the set-up with the
+sensor's message. `ECHO`, `OUTHOLD`, `OUTREDUCEDEVICE` and `MASTERMV` may be missing (refused, or no answer); a refusal
+of the arguments or a timeout ends the set-up too [U: its wording].
+
+A command without an answer within 1 s is sent once more, with 1.5 s (`MASTERMV` may take 2 s). An acknowledgement of
+another command is ignored as late. The laser is not switched on: off is error code 262082.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,15 @@
 """Packets of an optoNCDT 2300 on Ethernet: a header and frames of 32-bit words, little-endian, over TCP.
 
-Source: docs/protocols/optoncdt_ethernet.md, which also states what is not verified.
+- bytes 0 … 3: preamble 4D454153h (on the wire ``SAEM``)
+- 4 … 7 order number, 8 … 11 serial number
+- 12 … 19: two words of flags that name the values of a frame. Bits of the first word by the manual's figure: 2 SHUTTER,
+  3 COUNTER, 4 TIMESTAMP, 5 TEMP, 8 INTENSITY, 16 STATE, 19 TRIGCNT
+- 20 … 23: number of frames u16, bytes of a frame u16; the manual's figures disagree on their order: the one that fits
+  `words` is taken
+- 24 … 27: counter
+- from 28: frames
+
+What is not verified: docs/protocols/optoncdt_ethernet.md.
 """
 
 from __future__ import annotations

@@ -2,7 +2,10 @@
 
 An answer has no number. After an answer that is missing, damaged or surplus, the next one could belong to an earlier
 request, and its value to an earlier time. The host then sends a probe: a request that only reads and whose answer is no
-value. The sensor answers in order, so that no late value follows the probe's answer.
+value. The sensor answers in order, so that no late value follows the probe's answer; values before it are dropped
+(`unasked`). The first request of a session is a probe too. Probes: LK-G ``M2``, or ``M1`` for its other output,
+LK-G5000 ``M1`` (refused), IL ``SR,00,037``, HL-G1 ``%01#ROA**``. A sensor that answers neither of the first two is
+polled without: the request after a missing answer follows after 1 s, and a still later answer is taken for the next.
 """
 
 from __future__ import annotations

@@ -2,7 +2,9 @@
 
 The line has no checksum. The identification is therefore requested until two consecutive answers are equal, and every
 parameter is read back after writing. Parameters are written to the sensor's working memory only; its stored settings
-are not changed.
+are not changed. In this order: laser on (00h), control (02h) to sampling by time and averaging by number, averages
+(06h), zero point 0 (17h, 18h), longest integration (0Ah, 0Bh) within the period, sampling period in µs (08h, 09h). The
+bytes of a word are written in the order whose intermediate value is allowed.
 """
 
 from __future__ import annotations

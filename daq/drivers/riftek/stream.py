@@ -14,7 +14,9 @@ accuracy of a loss count depends on the loss:
   are early by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the
   guard is never found.
 
-A sensor that was switched off and on gives a gap like any other, because the line does not show the difference.
+`far_ns` is the largest of 30 ms, eight periods and three guards. Results between losses of three, one by one, look like
+a stuck line. A sensor that was switched off and on gives a gap like any other, because the line does not show the
+difference.
 """
 
 from __future__ import annotations

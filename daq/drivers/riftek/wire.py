@@ -3,12 +3,17 @@
 A request consists of two bytes and an optional message; only its first byte has the top bit clear. Every byte from the
 sensor has the top bit set and contains four bits of data, low half of a byte first, low byte of a word first:
 
-    request   0aaaaaaa 1000cccc [1000dddd …]      a: address (0: every sensor), c: code of the request, d: data
-    packet    1Snndddd 1Snndddd …                 S: the result is a new one, n: number of the packet modulo 4
+- request ``0aaaaaaa 1000cccc [1000dddd …]``: a address (1 … 127, 0: every sensor), c code of the request, d data
+- packet ``1Snndddd 1Snndddd …``: S = 1 the result is a new one, n number of the packet modulo 4
+
+Codes of requests: 1 identification (answer: type u8, firmware u8, serial u16, base mm u16, range mm u16), 2 read of a
+parameter (number u8; answer: value u8), 3 write (number u8, value u8; no answer), 4 store settings (AAh) or factory
+settings (69h) (never sent; answer: the same u8), 6 one result (u16), 7 start and 8 stop of the stream (no answer). A
+result D is 0 … 16384, at the distance D · range / 16384 from the begin of the range.
 
 All bytes of a packet have the same high half, and the next packet has another number. Packets are separated by this
 alone. A result of the stream has four bytes, the value of a parameter two, an identification sixteen. Answers have
-S = 0 and share line and numbering with the stream. The line has no checksum and no time.
+S = 0 and share line and numbering with the stream. The line has no checksum, no longer counter and no time.
 
 Sources: RF602 and AR100 manuals, serial interface pages; the layout of the longer stream forms is not public, so they
 are not used.

@@ -1,7 +1,10 @@
 """Packets of an RF60x sensor on Ethernet: 512 bytes, little-endian, without a start mark.
 
 168 results, each u16 and a status u8; serial number u16, distance to the begin of the range u16 (mm), range u16 (mm),
-number of the packet u8, check u8. A datagram is one packet.
+number of the packet u8 (modulo 256), check u8. A datagram is one packet. A result D is the distance D · range / 16384
+from the begin of the range. A packet is recognised by the range of the rig file, after damage by the whole identity.
+All other bytes are counted (`bytes`). If they are an RF60x packet, the event (before the first packet the error) states
+what differs: range, serial number, check, number of results.
 
 Source: the maker's open library (RIFTEK-LLC/RF60XSDK). Unverified: the algorithm of the check, the meaning of a status.
 """

@@ -1,8 +1,11 @@
 """RotorLink v1: the encoder node on the rotor, its radio dongle, and the commands to it.
 
 On a serial line a frame is ``COBS(payload) 0x00``; on an XBee the payload is the radio data. The payload is a body and
-its CRC-16/CCITT-FALSE. All numbers are little endian. Each body starts with type u8, node u8 and seq u16. The seq
-counts the sender's frames of all types: a gap in it means lost frames, a repeated frame is dropped.
+its CRC-16/CCITT-FALSE (polynomial 1021h, start FFFFh, low byte first; "123456789" gives 29B1h), at most 250 bytes on
+air. All numbers are little endian. Each body starts with type u8, node u8 and seq u16. The seq counts the sender's
+frames of all types and wraps: a gap in it means lost frames, a repeated frame is dropped. Bytes that are not an intact
+frame are counted and skipped, up to the next 0x00. Node time is µs since the node's start (u32, wraps after 71.6 min).
+After a restart time, index and seq start at 0.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Packets of a VESC: start byte, length, payload, CRC-16/XMODEM of the payload, 03h.
 
-The start byte determines the width of the length: one byte after 02h, two bytes after 03h.
+The start byte determines the width of the length: one byte after 02h, two bytes after 03h (from 256 bytes on). Numbers
+are big-endian. CRC: polynomial 1021h, start 0; "123456789" gives 31C3h [S, M]. Payloads have 1 to 512 bytes [U]. Query
+of values: ``02 01 04 40 84 03``; hold 3000 electrical rpm: ``02 05 08 00 00 0B B8 F8 04 03`` [M].
 """
 
 from __future__ import annotations

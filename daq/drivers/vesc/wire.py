@@ -2,6 +2,21 @@
 
 A payload consists of a command byte and big-endian numbers. An answer begins with the command that it answers. Both
 directions are encoded and decoded here, because simulated and played controllers use the codec too.
+
+- ``00``: firmware; answer ``00``, major u8, minor u8, hardware's name ended by ``00``, processor's number 12 bytes;
+  newer firmware appends more, old (2.x) ends after minor [U]
+- ``04``: query of the values; does not reset the timeout [S]
+- ``06`` i32: motor current, mA; only 0: release the motor
+- ``07`` i32: brake current, mA
+- ``08`` i32: hold an electrical speed, rpm
+- ``1E``: alive: continue with the last command; not used
+
+Answer to ``04``, offsets in the payload [S, one real answer]: 1 temperatures i16 i16; 5 motor current i32 × 100; 9
+input current; 13 and 17 currents d and q; 21 duty i16 × 1000; 23 electrical rpm i32; 27 supply voltage i16 × 10; 29 Ah
+drawn, 33 Ah charged, 37 Wh drawn, 41 Wh charged, each i32 × 10⁴; 45 steps i32; 49 steps in both directions together
+i32; 53 fault u8; 54 position i32; 58 controller's number u8; 59 three temperatures i16; 65 voltages d and q i32; 73
+status u8 (bit 0: timed out, bit 1: kill switch open), from firmware 5.3 on. Fault codes to 18: several sources agree
+[S]; 19 to 25 are from one [U].
 Facts and their sources: docs/protocols/vesc.md.
 """
 

@@ -1,8 +1,24 @@
 """Frames between a host and a VESC on a CAN bus: a pure codec without bus and clock.
 
-The identifier has 29 bits: command << 8 | number of the receiver, or of the sender of a status. Numbers are big-endian.
-Longer payloads, which are those of the serial port, are sent in pieces with a CRC. Facts and their sources:
-docs/protocols/vesc_can.md.
+The identifier has 29 bits: command << 8 | number of the receiver, or of the sender of a status. Numbers are big-endian
+[S]. "51 A to controller 23" is 0117h with ``00 00 C7 38`` [S]; "3000 electrical rpm" is 0317h with ``00 00 0B B8``, on
+the line ``T00000317400000BB8`` [M]. From the host:
+
+- 1: motor current i32, mA; only 0: release the motor
+- 2: brake current i32, mA
+- 3: hold an electrical speed i32, rpm. The document's table has a scale of 1000; its example and the firmware have
+  1 [S]
+- 8, from both: payload of up to 6 bytes: number of the sender, 0 (answer to the sender) or 1 (an answer), payload
+
+From the controller:
+
+- 5, 6: piece of an answer: offset u8 (6: u16), up to 7 (6) bytes. It does not contain its sender.
+- 7: end of an answer: number of the sender, 1, length u16, CRC-16/XMODEM u16 of the payload
+- 9: status, by itself: electrical speed i32 in rpm, current i16 × 10, duty cycle i16 × 1000
+- 57: its start, once, from firmware 6 on: name of the hardware, up to 8 bytes [S, its firmware]
+
+Payloads of 5 to 8 are those of the serial port: queries of firmware and values (11 pieces and an end). Other status
+messages (14, 15, 16, 27, and 58, in the document 28) are ignored. Further facts: docs/protocols/vesc_can.md.
 """
 
 from __future__ import annotations

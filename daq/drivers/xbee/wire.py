@@ -1,6 +1,22 @@
 """Content of XBee API frames: parsing of frame data, and frame data of requests; `framing` encodes them for the line.
 
 Frame data begin with the type of the frame. Numbers are big endian, unlike those of the RotorLink payloads inside.
+From the module:
+
+- 90h receive packet: source address u64, source network address u16 (FFFEh unknown), options u8, radio data
+- 91h explicit receive: as 90h, but source and destination endpoint u8 u8, cluster u16, profile u16 before the options
+- 80h, 81h receive packet: source address u64 or u16, strength u8 (−dBm), options u8, radio data
+- 8Bh transmit status: frame id u8, network address u16, retries u8, status u8, discovery u8
+- 89h transmit status: frame id u8, status u8
+- 8Ah modem status: status u8 (00h power-up or reset, 01h watchdog, …)
+- 88h AT answer: frame id u8, command 2 letters, status u8 (0 ok), value
+
+From the host:
+
+- 08h AT command: frame id u8, command 2 letters
+- 10h transmit request: frame id u8, destination u64, network address u16, radius u8 = 0, options u8 = 0, radio data. To
+  a 16-bit address the destination is FFFFFFFFFFFFFFFFh, to a 64-bit address the network address is FFFEh.
+- 00h, 01h transmit request: frame id u8, destination u64 or u16, options u8 = 0, radio data
 """
 
 from __future__ import annotations
