@@ -120,7 +120,8 @@ class Differences:
         parameter_covariance: covariance of these without the shared errors, shape (n, n).
         uncertain: by_parameter with 0 where a parameter was identified with the row's release, shape (m, n). The
             error of such a parameter consists of the release's own noise. Adding both would count this noise twice,
-            although it reduces the difference. The covariance without it is still too large rather than too small.
+            although it reduces the difference: with the derivative B of the rows and the covariance C of such
+            parameters the covariance is 1 − B C Bᵀ. The covariance without it is still too large rather than too small.
         by_number: number of the rig file → derivative of the differences by it at fixed parameters, shape (m,).
         shared: label → shift of the differences per standard deviation of an error that rows share, shape (m,).
         by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond the value used, shape (m,).

@@ -4,7 +4,7 @@ The means of the last seconds lag behind the limit of a slow approach. The windo
 extrapolated to their limit (daq.signals.limit), angles and order-1 orbit together, because they approach at the same
 rates. If no approach explains the means, the mean of the last seconds is used. Its standard uncertainty is then the
 bound of the settling check on its distance from the end, over √3.
-Source: docs/theory/steady_states.md, "Where it ends".
+Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 """
 
 from __future__ import annotations

@@ -1,4 +1,11 @@
-"""Refinement of a map where its class changes: a coarse grid, with finer grids only along the borders of classes."""
+"""Refinement of a map where its class changes: a coarse grid, with finer grids only along the borders of classes.
+
+Claim: on the finest grid the classes are those of the full grid, except for islands without a computed point. Proof:
+let a point that was not computed have the wrong class. The corners of the cells around it all have the class a that the
+point was given; otherwise they and the point would have been computed. So every wrong point that touches it, and every
+correct point that touches the patch of wrong ones, was given a too: the patch is surrounded by a, and no point of it
+was computed.
+"""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ more than that rate would. Therefore two rates together and decaying oscillation
 series that they fit closely, unless one rate explains the means within ± w or the newest means move by less than 10 w,
 and the larger bound is valid. If neither fits, the whole range of the newest means is taken as a change at the slowest
 rate.
-Source: docs/theory/steady_states.md.
+Source: docs/theory/detection_of_steady_states.md.
 """
 
 from __future__ import annotations

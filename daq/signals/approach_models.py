@@ -1,8 +1,12 @@
 """Models of an approach to a limit: one rate, two rates, a decaying oscillation, and their posterior on a grid.
 
-For given rates the limits and amplitudes are linear and are integrated analytically. The rates are integrated over a
-grid in log λ that is moved, rotated and refined until it resolves the posterior. Used by daq.signals.limit.
-Source: docs/theory/steady_states.md, "Where it ends".
+For given rates the limits and amplitudes are linear and are integrated analytically. With the flat prior of m∞, the
+priors N(0, s²R²) of the amplitudes and the covariance C of the means
+    P = Xᵀ C⁻¹ X + diag(0, 1/(sR)², …),     (m∞, a) = P⁻¹ Xᵀ C⁻¹ m ± P⁻¹,
+    log p(m | λ) = −½ [mᵀ C⁻¹ m − (m∞, a)ᵀ P (m∞, a)] − ½ log det P − Σ log sR,
+summed over the quantities. The rates are integrated over a grid in log λ that is moved, rotated and refined until it
+resolves the posterior. Used by daq.signals.limit.
+Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 """
 
 from __future__ import annotations

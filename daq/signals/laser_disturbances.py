@@ -3,7 +3,7 @@
 Both are searched in the residual of a displacement after the motion is removed. Wander is power below 1 Hz far above
 the level of white noise; the suspension has no mode there. A line is a narrow peak whose amplitude is constant over the
 record; a ring-down decays.
-Source: docs/theory/steady_states.md, "Noise that is not white".
+Source: docs/theory/detection_of_steady_states.md, "Noise that is not white".
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ uncertainty of the model. The posterior share of a fifth model, straight lines a
 
 An approach is exponential only near its end. Therefore 15 % of the change that is extrapolated beyond the last window
 is added as a standard deviation.
-Source: docs/theory/steady_states.md, "Where it ends".
+Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Uncertainty of a displacement's order-1 vector in a window, from the noise at the order's own frequency.
 
-A fit over m whole revolutions is a rectangular window on the signal. Slow parts, hum and noise near the order therefore
-leak into the vector. The coefficients at k/m of the rotor's frequency, with k not a multiple of m, have the same window
+A fit over m whole revolutions of duration T is a rectangular window on the signal: the vector's variance is ∫ S |H|² df
+of the noise's spectrum S, with H ~ sinc(π(f − m/T)T). Slow parts, hum and noise near the order therefore leak into the
+vector. The coefficients at k/m of the rotor's frequency, with k not a multiple of m, have the same window
 and the same leakage. They contain no motion except the leakage of a changing vector, which is computed from the change
 and removed. Their power, interpolated to k = m as a power law, is the vector's variance for any noise spectrum.
 Differences of neighbouring samples contain the white part only.
-Source: docs/theory/steady_states.md, "Noise that is not white".
+Source: docs/theory/detection_of_steady_states.md, "Noise that is not white".
 """
 
 from __future__ import annotations

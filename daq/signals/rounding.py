@@ -5,7 +5,7 @@ rounding. This is the Fourier series of the rounding error, with A_k = h/(πk) f
 ripple dithers the code. The position of the angle between two codes is unknown (all positions are equally probable).
 Two windows whose angles differ by d therefore have errors with the covariance Σ A_k²/2 cos(2πk d/h). If nothing moves,
 the error is the same in all windows, and a mean over windows does not reduce it.
-Source: docs/theory/steady_states.md, "Where it ends".
+Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def settled(
     Returns:
         Settling; `settled` is False, with the reason, if the signals are too short or too sparse.
 
-    Source: docs/theory/steady_states.md.
+    Source: docs/theory/detection_of_steady_states.md.
     """
     time_s, angle_rad, windows = signals.angle_time_s, signals.angle_rad, limits.windows
     marks = signals.mark_time_s, signals.mark_phase_rad

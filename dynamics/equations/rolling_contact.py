@@ -68,6 +68,11 @@ def hertz_contact(
 ) -> Contact:
     """Contact of a ball that is pressed on the inner wall of a channel.
 
+    With the gaps' curvatures A = ½ (1/r − 1/R_1) ≤ B = ½ (1/r − 1/R_2) and 1/E* = (1 − ν_1²)/E_1 + (1 − ν_2²)/E_2 the
+    ellipse has half axes a ≥ b with e² = 1 − b²/a² (K, E complete elliptic integrals of e):
+        B/A = (E a²/b² − K)/(K − E),   a³ = 3 F (K − E)/(2π e² E* A),   p_0 = 3 F/(2π a b),   δ = p_0 b K/E*.
+    For a plane: δ = a²/r, a³ = 3 F r/(4 E*).
+
     Args:
         force_N: contact force, N.
         ball_radius_m: radius of the ball, m.

@@ -3,7 +3,8 @@
 With a compensated shift R_C the pendulums bring their pivot to rest if they can: z = −R_C, so that the residual radius
 is the shift itself. This requires S_A e^{iθ3} + S_B e^{iθ4} = M_S R_C − S_P − (k + iωc) R_C/ω². The modulus of the
 right side is smallest near R_C = e = S_P/M_S, where equal pendulums are opposed. It reaches S_A + S_B near
-R_C = (S_P + S_A + S_B)/M_S, where they come together and balancing ends.
+R_C = (S_P + S_A + S_B)/M_S, where they come together and balancing ends. The locked amplitude of equal pendulums is
+N e, N = Ω²/√((1 − Ω²)² + (2ζΩ)²), so that the released amplitude over the locked one is ρ_C/N with ρ_C = R_C/e.
 """
 
 from __future__ import annotations

@@ -3,6 +3,10 @@
 Steady states hardly depend on the pendulums' damping, but the first seconds after a release do. The release is fitted
 with all parameters free, starting at the identified ones, so that the rows are valid even if these are many standard
 deviations off.
+
+A drag that a spin-down leaves undecided acts on the model of all releases. If one of them needs dry friction in
+addition, or is not followed, all are fitted with contact friction in its place. The model that fewer releases refuse,
+then that with the smaller χ², is used.
 """
 
 from __future__ import annotations

@@ -114,6 +114,10 @@ class FittedRelease:
     def number_columns(self) -> dict[str, Array]:
         """Return derivatives of the weighted readings by numbers, index angle, bow, drag and friction at constant θ.
 
+        They are forward differences of whole motions. The steps are small: 0.1 µm of bow at A is 800 standard
+        deviations, its square 4 % of the derivative. Larger steps leave a false derivative along R → λR, S_P → λS_P,
+        b → λb, c → λ²c, which moves no angle.
+
         Returns:
             Name → derivative, shape (n,).
         """

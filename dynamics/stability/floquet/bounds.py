@@ -173,7 +173,12 @@ def _moves(
 
 @compiled
 def _moved(values: Complex, coupling: Array, i: int, gaps: Array) -> float:
-    """Bound on the move of one eigenvalue; gaps (n − 1,) is scratch."""
+    """Bound on the move of one eigenvalue; gaps (n − 1,) is scratch.
+
+    |G_ii| + 2 Σ_j |G_ij G_ji|/|σ_i − σ_j| as long as |G_ij G_ji|^½ is under a quarter of each gap. Otherwise, with the
+    gaps g_1 ≤ g_2 ≤ … and the largest coupling s, 2(k+1) (s g_1 ⋯ g_k)^{1/(k+1)} for the first k at which that is
+    smaller than 2 g_{k+1}: the root that a Jordan block of size k + 1 causes.
+    """
     n, own = len(values), coupling[i, i]
     second, strength, apart, count = 0.0, own, True, 0
     for j in range(n):
