@@ -1,7 +1,9 @@
 """A torque proportional to the square of the speed, found by transients in addition to the viscous one.
 
 A spin-down alone does not separate the air's drag from friction with the contact force (rig_configs.drag), so its
-result is stored as one quantity. Source: docs/theory/pendulum_damping.md.
+result is stored as one quantity Q. The roots L of its covariance LLᵀ are two errors that the damping, releases and
+predictions share, in c3 and c4 by their correlation with Q times their own error. Masses and lengths change Q, M and c
+by the same share, dQ/dp = Q · d ln c/dp. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@ A release amplifies errors of its masses: 0.05 % of a pendulum's mass, the error
 angles by tens of standard deviations. A fit with an exact mass then finds friction that does not exist, or does not
 follow. Here θ is extended by the numbers' errors in standard deviations, each with a unit normal prior, so the release
 estimates them. Results of other tests change with a number (by_number of the prior knowledge). The suspension in θ is
-that for the numbers of the rig file. Source: docs/theory/pendulum_damping.md.
+that for the numbers of the rig file. The result contains the derivative by a number for the prior alone, without its
+part in the fit's own covariance. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations

@@ -81,7 +81,8 @@ def damped_periodogram(records: Sequence[Sequence[Averages]]) -> Start:
     Channels count by their weight and have their own amplitude and phase. The channels of a record start together.
 
     Args:
-        records: block averages of each record's channels from the release on. Gaps count as zero.
+        records: block averages of each record's channels from the release on. Gaps count as zero; with many of them
+            half and a third of the best frequency are compared with it.
     """
     channels = [(channel, record[0].time_s[0]) for record in records for channel in record]
     longest = max(float(c.time_s[-1] - zero) for c, zero in channels)

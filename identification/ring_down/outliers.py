@@ -2,8 +2,10 @@
 
 Outliers are masked by hard trimming, which is repeated until nothing changes. It is redescending like Tukey's biweight,
 but the plain least-squares covariance is valid for the remaining samples. The threshold follows the *local* scatter, so
-that a misfit at large amplitudes is not masked as outliers. The limit for masking and for the warning depends on the
-number of samples: the largest deviation of 100 000 good samples exceeds 4.5 standard deviations in every second record.
+that a misfit at large amplitudes is not masked as outliers. The noise is the smaller of the residuals' rms and that of
+third differences, which contain the signal if the times are uneven. The limit for masking and for the warning depends
+on the number of samples: the largest deviation of 100 000 good samples exceeds 4.5 standard deviations in every second
+record.
 """
 
 from __future__ import annotations

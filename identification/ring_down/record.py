@@ -1,7 +1,9 @@
 """Preparation of a sensor's record: masks, noise, block averages, and residuals of samples against a smooth model.
 
-Masked samples (rail, NaN, outliers) have weight zero and are never interpolated. Loops over all samples are compiled,
-so that a tenfold sampling rate costs little.
+Masked samples (rail, NaN, outliers) have weight zero and are never interpolated. A rail is a run of equal values at an
+extreme that the motion leaves and reaches again (a held column is there once), or a level at which values accumulate.
+Other repeated values are a dropout if they are unlikely by chance. Loops over all samples are compiled, so
+that a tenfold sampling rate costs little.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 One design matrix X contains all unknowns (φ, linear unknowns of x, of y). An error r of the data, in standard
 deviations, moves them by C Xᵀ r with C = (XᵀX + prior)⁻¹. A phase error δψ(s) moves the data by the response of the
-oscillators to i p δψ. Its effect on an estimate is the same filter run backwards over the estimate's row of C Xᵀ.
+oscillators to i p δψ. Its effect on an estimate is the same filter run backwards over the estimate's row of C Xᵀ. It
+acts on a run-out r as i r p δψ, on a bow by ω² (e^{λ₊τ} − e^{λ₋τ})/(λ₊ − λ₋) instead of the kernel of the imbalance.
 """
 
 from __future__ import annotations
