@@ -99,6 +99,15 @@ def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
     source[0] = source[0].replace(OVERVIEW_MARK, overview()) + reference()
 
 
+def _add_setting_tables(app: Any, docname: str, source: list[str]) -> None:
+    """Add the settings of every driver to the page "reference/drivers"."""
+    if docname != "reference/drivers":
+        return
+    from setting_tables import MARK, all_tables  # imports every driver's settings
+
+    source[0] = source[0].replace(MARK, all_tables())
+
+
 def _draw(app: Any, docname: str, source: list[str]) -> None:
     source[0] = with_drawings(source[0])
 
@@ -125,6 +134,7 @@ def setup(app: Any) -> None:
     """Register the docstring conversion ahead of napoleon (priority 500)."""
     app.connect("builder-inited", _require_wheel)
     app.connect("source-read", _add_command_reference)
+    app.connect("source-read", _add_setting_tables)
     app.connect("source-read", _draw)
     app.connect("build-finished", _check_pages)
     app.connect("autodoc-process-docstring", _process_docstring, priority=400)

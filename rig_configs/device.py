@@ -35,6 +35,9 @@ class DeviceSettings(RigTable):
     """Settings of every device.
 
     Attributes:
+        driver: name of its driver, as `rig driver list` shows them.
+        port: serial port ("/dev/ttyUSB0", "COM3"), "socket://host:port", "udp://address:port", another URL of pyserial,
+            or "can:INTERFACE:CHANNEL" of python-can ("can:socketcan:can0").
         calibration: names of the settings that a calibration may correct in an old log; with a point before a setting
             of a table inside ("x.range_m").
         files: settings that name a text file, relative to the rig file, each with the setting that takes its text. A
@@ -93,15 +96,18 @@ class DisplacementTable(RigTable):
 
     Attributes:
         axis: "x" or "y".
-        range_m: measuring range, m; displacement 0 is its middle. `range_std_m` is its standard uncertainty.
-        lever_ratio: displacement at the sensor over that of the disk centre, with its standard uncertainty.
+        range_m, range_std_m: measuring range, m; displacement 0 is its middle. With its standard uncertainty.
+        lever_ratio, lever_ratio_std: displacement at the sensor over that of the disk centre, with its standard
+            uncertainty.
         gain_std: relative standard uncertainty of the sensor's calibration.
         gain_factor: displacement over the displacement that the driver computes, which every sample is multiplied by;
             `gain_std` is its relative standard uncertainty.
-        offset_m: displacement of the disk centre that is added after that, and its standard uncertainty offset_std_m.
+        offset_m, offset_std_m: displacement of the disk centre that is added after that, m, with its standard
+            uncertainty.
         witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
             measuring sensor.
-        direction_deg: direction of the sensor, if it differs from its axis.
+        direction_deg, direction_std_deg: direction of the sensor, degrees, if it differs from its axis, with its
+            standard uncertainty.
     """
 
     axis: Axis
@@ -235,7 +241,8 @@ class RotorNodeSettings(DeviceSettings):
     Attributes:
         rate_Hz: samples per second.
         counts_per_revolution: counts of an encoder for one revolution.
-        index_angle_deg: ψ (imbalance direction from +x) at the index mark, degrees, with its standard uncertainty.
+        index_angle_deg, index_angle_std_deg: ψ (imbalance direction from +x) at the index mark, degrees, with its
+            standard uncertainty.
         zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction, degrees.
         clock_tolerance_ppm: standard uncertainty of the rate of the node's clock, ppm.
         locks: whether the rig commands locks of this node.

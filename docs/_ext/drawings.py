@@ -198,7 +198,7 @@ def _corner(column: float, row: float) -> tuple[float, float]:
 
 def _box(place: tuple[float, float], title: str, name: str, sentence: str) -> str:
     x, y = _corner(*place)
-    lines = textwrap.wrap(sentence, 32, max_lines=2, placeholder=" …")
+    lines = textwrap.wrap(sentence, 30, max_lines=2, placeholder=" …")
     text = [f'<tspan x="{x + 10}" y="{y + 18}" class="title">{escape(title)}</tspan>']
     text.append(f'<tspan x="{x + 10}" y="{y + 18 + _LINE}" class="name">{escape(name)}</tspan>')
     text += [
