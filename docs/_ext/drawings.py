@@ -92,7 +92,7 @@ def sentence_of(name: str) -> str:
     text = ast.get_docstring(nodes[0]) if nodes else None
     if not text:
         raise LookupError(f"drawings: {name} has no docstring, or does not exist: correct the drawing's table")
-    return re.split(r"[.:;] ", " ".join(text.split()))[0].rstrip(".")
+    return re.split(r"[.:;] ", " ".join(text.split()))[0].rstrip(".").replace("`", "")
 
 
 @cache
