@@ -3,7 +3,6 @@
 If the suspension differs between x and y, the pendulums of Types II and III oscillate twice a revolution. Friction
 −M sign θ̇ is then a periodic torque on the frictionless motion y(t). With the linearised motion's Φ(t), and b(t) the
 accelerations due to a torque of 1 N m on a pendulum,
-torque of 1 N m on a pendulum makes,
 
     δy(t) = Φ(t) (δy0 + ∫₀ᵗ Φ(s)⁻¹ b(s) (−M sign θ̇(s)) ds),      δy0 = (1 − ∂H/∂y)⁻¹ H-turn Φ(T) ∫₀ᵀ …,
 
