@@ -15,6 +15,9 @@ Only numbers in the file itself are read. Rejected, with a message that contains
     MAT             parts that exceed each other's ends, have no valid type or are nested more than 64 deep
     parquet, text   a column of texts or lists; a line of more than a million characters
     any column      complex numbers, texts, three dimensions, a link
+
+A test that the table of test kinds does not list is imported with a warning. A ring-down recorded by one sensor gives
+its direction.
 """
 
 from __future__ import annotations
