@@ -116,6 +116,11 @@ def map(
     KEY is speed_ratio, speed_rpm, stiffness_ratio or a number of the rig file, such as imbalance.radius_m or
     suspension.zeta1+suspension.zeta2. If neither axis is a speed, --point, --speed-ratio or --speed-rpm gives it.
 
+    --borders reports the largest island that it may have missed. --family draws ticks on the unstable side and reports
+    the stable share of the plane for each value. --best computes nine values, then a bounded search; it reports the
+    nearest significantly smaller shares on both sides, and "not resolved" where pendulums creep too slowly. --refine
+    interpolates elsewhere (`computed` marks the other points); --borders then finds islands between the coarse points.
+
     Example: `rig map my.toml --borders`
     """
     with wait_for_compilation("stability map"):

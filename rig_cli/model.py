@@ -111,6 +111,14 @@ def predict(
     of the parameters file are included (a bow, drag, a suspension that depends on the motion), and the sensors'
     amplitudes include run-out.
 
+    --sweep reports the stable range of each type, angles, amplitudes, and break points to a millionth. With
+    --speed-ratio or --point each changed rig turns at that ratio of its own natural frequency, with --speed-rpm all at
+    one speed. --balancing reports the region of the pendulum set (properly oversized, undersized, improperly
+    oversized), S_P to its borders, possible centres of gravity and balanced angles in the plane of S_A and S_B;
+    uncertainties of masses and lengths, or of S_P, give the region a probability. --lost reports speeds without a
+    singular point of Types II and III; there, and close above a resonance, pendulums may slip.
+    --model "periodic over a whole revolution" computes with a larger model, for comparison.
+
     Example: `rig predict my.toml --point B`
     """
     check_outputs("rig predict: --plot", plot, force=force)

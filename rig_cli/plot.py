@@ -58,11 +58,15 @@ def plot(
 ) -> int:
     """Draw logs as orbit, Bode, polar, waterfall and more, with the model.
 
-    time: displacements, angles, speed. orbit: path with index mark. dial: pendulum angles. bode, polar: 1× vectors over
-    speed. waterfall: spectra over speed. spectrum: full spectrum and power densities. orders: order map. slip: angles
-    and slip order. multipliers: in the plane and along the speed. map: stability map with the logs' points. residuals:
-    what identification fitted. history: of parameters files. health: the streams of a log. An .html figure zooms and
-    needs no network.
+    time: displacements, pendulum angles, speed; --over is aligned by releases, else motor commands, plucks, the starts.
+    orbit: path of the disk's centre, measured and model's ellipse with 95 % intervals; six for a run-up. dial:
+    pendulums on the rotor, held, measured at the end, predicted. bode, polar: 1× vectors of a run-up over speed with
+    95 % intervals. waterfall, orders: cascade of spectra, order map; over time where the speed is constant. spectrum:
+    full spectrum and power densities in mm²/Hz, measured and simulated; needs 3 s at one speed. slip, multipliers, map,
+    residuals take all logs: angles and slip orders over speed with the model's states; multipliers in the plane and the
+    largest over the speed; stability map with the points; fit of the identification and residuals. history: parameters
+    over time, of parameters files. health: rates, gaps, ages, losses and the disk's backlog over time. An .html figure
+    zooms and needs no network.
 
     A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
     name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.

@@ -95,6 +95,6 @@ TRACKING_HELP = (
 WITHOUT_HELP = (
     "a rung of the model ladders that is never taken, even if the data support it; repeat for more: lines, "
     "spectrum, wander, amplitude, second-mode, slow-roll, ripple, clocks, friction, drag, open-masses "
-    "(docs/how-to/experimenter.md)"
+    "(docs/how-to/experimenter/exclude_an_effect.md)"
 )
 """Help of `rig identify --without`."""

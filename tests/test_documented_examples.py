@@ -14,8 +14,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SHOWN = [
-    (page.name, code)
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs" / "how-to").glob("*.md")))
+    (page.relative_to(ROOT).as_posix(), code)
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs" / "how-to").rglob("*.md")))
     for code in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 ]
 EXAMPLES = [(name, code) for name, code in SHOWN if "out/demo" not in code]
@@ -23,7 +23,7 @@ EXAMPLES = [(name, code) for name, code in SHOWN if "out/demo" not in code]
 
 def test_there_are_examples() -> None:
     assert "README.md" in {name for name, _ in SHOWN}
-    assert {name for name, _ in EXAMPLES} >= {"analyst.md", "script_a_campaign.md"}
+    assert {Path(name).stem for name, _ in EXAMPLES} >= {"simulate_in_python", "script_a_campaign"}
 
 
 @pytest.mark.parametrize(("name", "code"), EXAMPLES)

@@ -1,4 +1,4 @@
-"""The operator's how-to, word by word: the commands of its rehearsal run as processes, on ports of the system.
+"""The operator's how-tos, word by word: the commands of their rehearsals run as processes, on ports of the system.
 
 The indented commands of a guided test are the second person's: each is given when the test prompts for it. Rig and host
 run at eight times real time and share their clock: on a busy machine a constant speed would otherwise seem to change.
@@ -24,7 +24,8 @@ import pytest
 
 from daq.transports.paced_clock import PacedClock
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "operator.md"
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "docs/how-to/operator" / name for name in ("rehearse_without_hardware.md", "run_without_a_drive.md")]
 TIME_SCALE = 8
 OPENS_PORTS = ("check", "test", "record")
 PATIENCE_S = 300
@@ -41,11 +42,10 @@ class Line:
 
 
 def rehearsals() -> list[list[Line]]:
-    """The commands of the page's rehearsal; each rehearsal ends with the rig's."""
-    section = re.search(r"## To rehearse without hardware\n(.*?)(?:\n## |\Z)", PAGE.read_text("utf-8"), re.DOTALL)
-    assert section is not None
+    """The commands of the pages' rehearsals; each rehearsal ends with the rig's."""
     found: list[list[Line]] = [[]]
-    for indent, text in re.findall(r"^( {4,})(rig .*)$", section[1], re.MULTILINE):
+    shown = "\n".join(page.read_text("utf-8") for page in PAGES)
+    for indent, text in re.findall(r"^( {4,})(rig .*)$", shown, re.MULTILINE):
         command, _, comment = text.partition("#")
         words = shlex.split(command)[1:]
         if len(indent) > 4:
@@ -68,7 +68,7 @@ class Terminal:
     def __init__(self, folder: Path, words: list[str], program: Sequence[str] = RIG, answers: bool = False) -> None:
         self.words = words
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
-        environment["PYTHONPATH"] = str(PAGE.parents[2])
+        environment["PYTHONPATH"] = str(ROOT)
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
         self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
@@ -136,7 +136,7 @@ def carried_out(folder: Path, line: Line, pace: Path) -> None:
     assert list(hands) == [], f"{' '.join(line.words)}: not every manual action was prompted for"
 
 
-def test_the_page_has_its_rehearsals() -> None:
+def test_the_pages_have_their_rehearsals() -> None:
     first, by_hand = rehearsals()
     assert [line.words[:2] for line in first[:3]] == [["virtual", "-o"], ["check", "my.toml"], ["test", "my.toml"]]
     assert len(by_hand[1].hands) == 4

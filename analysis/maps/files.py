@@ -38,6 +38,11 @@ def need_map_suffix(path: Path) -> None:
 def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
     """Write a map in the format of the name's suffix. The files appear only when they are complete.
 
+    .npz: x and y under their keys, `multiplier_max`, `error_estimate`, `decay_rate_per_s` over (y, x); `border_1` …
+    (x, y) and `border_1_multiplier` …; `provenance` is JSON. .parquet: one row per point, x and y under all their keys;
+    borders, one row per point of a line, in NAME.borders.parquet; the schema's metadata `rig map` is JSON. .zarr:
+    dimensions named by the keys; `borders/1` … are groups; the attribute `rig map` is the provenance.
+
     Returns:
         Paths written: the file or the store, and NAME.borders.parquet for a .parquet with borders.
     Raises:

@@ -4,7 +4,20 @@
                      make_recipe(test="ring-down-x", time="t:ms", x="disp1:mm", y="disp2:mm"))
 
 The log has no raw bytes. Its samples have the recording's own times, and the attachment `import.json` contains the
-source file and the options. Nothing is interpolated: a gap stays a gap and is counted, an invalid reading stays NaN.
+source file (name, SHA-256, size) and the options. Nothing is interpolated: a gap stays a gap and is counted, an invalid
+reading stays NaN.
+
+Only numbers in the file itself are read. Rejected, with a message that contains the reason:
+
+    any file        more than 4 GB unpacked, or more than 256 MB and a hundred times its size on the disk
+    HDF5            datasets in other files, virtual datasets, plug-in filters (h5repack makes a plain file); more than
+                    10 000 groups and datasets, or 64 levels; links to other files are not columns
+    MAT             parts that exceed each other's ends, have no valid type or are nested more than 64 deep
+    parquet, text   a column of texts or lists; a line of more than a million characters
+    any column      complex numbers, texts, three dimensions, a link
+
+A test that the table of test kinds does not list is imported with a warning. A ring-down recorded by one sensor gives
+its direction.
 """
 
 from __future__ import annotations

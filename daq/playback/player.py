@@ -2,6 +2,10 @@
 
 Bytes leave in the recorded order and none is dropped: the player waits for a slow reader. A slow reader of one port
 does not delay the others until `BACKLOG_BYTES` are waiting.
+
+A command to a device within `_SETTLE_S` after the opening of all ports means a host that configures (opening a CAN
+adapter is not a command): playing then begins for all devices together, when each has received the command that it
+expects. A device whose transmission is stopped and started again continues at the present position of the log.
 """
 
 from __future__ import annotations

@@ -3,6 +3,11 @@
 Period, tolerances and order of calls are those of a session; the time is that of the log. The phase of a session's
 period is not in a log, except where the session stopped the rotor: there it is evaluated additionally. A log contains
 only the result of the checks of link, disk and operator, so these rows of the table are not evaluated again.
+
+Without `target_rpm` (the log begins while the rotor turns, unless it is of a point or a run-down; or it only received,
+on a line without orders) the drive's reported speed is used until the next order, and a runaway is not evaluated. The
+part after a hole has unknown orders. A silence may be found one period earlier or later than in the session. In the
+last seconds of an aborted session at rest the devices are being closed.
 """
 
 from __future__ import annotations

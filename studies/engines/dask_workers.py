@@ -33,7 +33,7 @@ _CHECK_S = 2.0  # interval between counts of the workers
 _WAIT_S = 0.2  # timeout for a tile, before the scheduler is checked
 _CERTIFICATES = (
     "set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__CLIENT__CERT and …__CLIENT__KEY to PEM files, or the same in dask's "
-    "configuration (docs/how-to/many_machines.md)"
+    "configuration (docs/how-to/analyst/compute_on_several_machines.md)"
 )
 _CONNECTION_FAULTS = (OSError, CancelledError)  # timeouts and closed connections are OSErrors too
 _log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from rig_cli.offline import identify
 from rig_cli.setting_costs import WITHOUT_HELP
 from rig_configs import RigFileError
 
-HOW_TO = Path(__file__).parents[2] / "docs" / "how-to" / "experimenter.md"
+HOW_TO = Path(__file__).parents[2] / "docs" / "how-to" / "experimenter" / "exclude_an_effect.md"
 
 
 def test_help_and_how_to_name_every_rung() -> None:

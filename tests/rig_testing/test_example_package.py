@@ -143,7 +143,7 @@ def test_its_channel_is_recorded_and_replayed_bit_for_bit(python: str, tmp_path:
 
 
 def test_what_the_how_to_shows_is_the_example() -> None:
-    page = (ROOT / "docs" / "how-to" / "add_a_device.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "developer" / "add_a_device.md").read_text(encoding="utf-8")
     shown = [block.split("```")[0].strip("\n") for block in page.split("```py\n")[1:]]
     files = [
         path.read_text(encoding="utf-8") for path in sorted(EXAMPLE.rglob("*.*")) if path.suffix in (".py", ".toml")

@@ -63,6 +63,9 @@ class WholeBlocks:
 class PlayedLaser(PlayedDevice):
     """An optoNCDT sensor that answers as the sensor of the log. Rate and output words are those of the log.
 
+    It answers ECHO, GETINFO, OUTPUT, OUTADD_RS422, GETOUTINFO_RS422, MEASRATE, OUTHOLD, OUTREDUCEDEVICE, MASTERMV and
+    RESETCNT. Other rates and output words are refused; RESETCNT does not change the counters.
+
     Args:
         identity: identity of the sensor from its opening. Missing entries are taken from the rig file.
         config: table of the sensor in the rig file.
