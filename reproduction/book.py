@@ -15,6 +15,7 @@ from matplotlib import image
 
 from daq.version import software_version
 from reproduction.files import Written
+from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 
 _TEMPLATE = "book.html.j2"
@@ -115,7 +116,8 @@ def docs_page(made: Sequence[Written], figures: str) -> str:
         "statements are in our words.",
         "Wrong equations are in [misprints.md](theory/misprints.md).",
         "",
-        f"{sum(counts.values())} claims: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
+        f"{number_of(sum(counts.values()), 'claim')}: "
+        f"{', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
         "",
         "## Claims that do not hold, or hold in part",
         "",

@@ -6,6 +6,7 @@ import logging
 from typing import TYPE_CHECKING, Any, Literal
 
 from rig_basics.errors import RigError
+from rig_basics.texts import number_of
 
 if TYPE_CHECKING:
     from daq.guided_tests.runner import TestDone
@@ -20,7 +21,7 @@ def result_sentence(done: TestDone) -> str:
     if done.missed:
         return f"{done.test} did not reach its end: {done.missed}; {_recorded(done)}."
     if done.runs:
-        return f"{done.test} done: {len(done.runs)} logs, the last one {_recorded(done)}."
+        return f"{done.test} done: {number_of(len(done.runs), 'log')}, the last one {_recorded(done)}."
     if (axis := _RING_DOWNS.get(done.test)) is not None:
         return f"{done.test} done: {_ring_down(done, axis)}; {_recorded(done)}."
     if "settled" in done.summary:
@@ -62,7 +63,7 @@ def _recorded(done: TestDone) -> str:
             seconds, samples = 1e-9 * (log.end_ns - log.start_ns), _samples(log)
     except RigError as error:
         return f"its log cannot be read ({error})"
-    counted = f"{seconds:.1f} s with {samples} {'sample' if samples == 1 else 'samples'} recorded"
+    counted = f"{seconds:.1f} s with {number_of(samples, 'sample')} recorded"
     return f"{counted}, {lost}" if lost == "nothing lost" else f"{counted}, lost: {lost}"
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from daq.errors import LogError
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
 from rig_cli.log_places import LogPlaces, logs_of
 from rig_cli.option_groups import OUTPUT
@@ -139,7 +140,7 @@ def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) 
     elif output.suffix.lower() not in SUFFIXES:
         raise RigFileError(f"rig plot: -o {output}: expected a folder, or a name ending in {', '.join(SUFFIXES)}")
     elif len(names) > 1:
-        raise RigFileError(f"rig plot: -o {output}: one file for {len(names)} figures; give a folder")
+        raise RigFileError(f"rig plot: -o {output}: one file for {number_of(len(names), 'figure')}; give a folder")
     else:
         found = [output]
     if twice := sorted({str(place) for place in found if found.count(place) > 1}):

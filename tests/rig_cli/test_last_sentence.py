@@ -15,7 +15,6 @@ from rig_cli.guided_test_result import result_sentence
 from rig_cli.last_sentence import (
     check_sentence,
     identify_sentence,
-    number_of,
     predict_sentence,
     validation_sentence,
 )
@@ -143,7 +142,3 @@ def test_a_test_without_a_quick_result_ends_with_what_was_recorded(tmp_path: Pat
     early = result_sentence(TestDone("run-up", log, {}, missed="the top speed"))
     assert early == f"run-up did not reach its end: the top speed; {recorded}"
     assert "no quick result" in result_sentence(TestDone("ring-down-x", tmp_path / "no.mcap", {}))
-
-
-def test_plural_forms() -> None:
-    assert [number_of(n, "log") for n in (0, 1, 2)] == ["0 logs", "1 log", "2 logs"]
