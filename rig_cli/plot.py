@@ -65,8 +65,8 @@ def plot(
     what identification fitted. history: of parameters files. health: the streams of a log. An .html figure zooms and
     needs no network.
 
-    A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
-    name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.
+    A folder means its logs. Logs that a kind cannot show, and unreadable ones, are named, the others are drawn. Exit 0
+    when all logs given by name are drawn, 2 when one of them, or every log of a folder, is not.
 
     Example: `rig plot bode out/run-up.mcap`
 
@@ -98,8 +98,7 @@ def plot(
             print(f"written to {figure['file']}")
     for each in left:
         notify(f"not drawn: {each.reason}")
-    passed_over = all(each.lacks and each.log in places.of_folders for each in left)
-    return 0 if drawn and passed_over else 2
+    return 0 if drawn and all(each.log in places.of_folders for each in left) else 2
 
 
 def _draw_all(
