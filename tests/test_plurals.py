@@ -135,7 +135,8 @@ def fixed_nouns(source: str) -> list[str]:
     of_one = {id(part) for node in ast.walk(tree) if _compares_with_one(node) for part in ast.walk(node)}
     texts = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
     found = [f"{node.lineno}: {words}" for node in texts if id(node) not in of_one for words in _fixed(node)]
-    return found + [f"{node.lineno}: {ast.unparse(node)}" for node in ast.walk(tree) if _appends_an_s(node)]
+    expressions = [node for node in ast.walk(tree) if isinstance(node, ast.expr)]
+    return found + [f"{node.lineno}: {ast.unparse(node)}" for node in expressions if _appends_an_s(node)]
 
 
 def _fixed(text: ast.JoinedStr) -> Iterator[str]:
@@ -166,7 +167,7 @@ def _compares_with_one(node: ast.AST) -> bool:
     return isinstance(node, ast.IfExp) and ast.unparse(node.test).endswith((" == 1", " > 1"))
 
 
-def _appends_an_s(node: ast.AST) -> bool:
+def _appends_an_s(node: ast.expr) -> bool:
     """Whether a noun is made plural in place."""
     if isinstance(node, ast.IfExp):
         return {ast.unparse(node.body), ast.unparse(node.orelse)} == {"'s'", "''"}
