@@ -15,6 +15,7 @@ from dynamics import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.single import ReleaseEnds, release_ends
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_configs import IdentifiedParameters
 
 PLAY_RAD = math.radians(0.2)
@@ -158,7 +159,8 @@ def drawn_rigs(
         tried += 1
         if tried > _MAX_DRAWS_PER_RIG * draws:
             raise AnalysisError(
-                f"{len(rigs)} of {tried} draws from the covariance are possible rigs: the covariance is too large"
+                f"{len(rigs)} of {number_of(tried, 'draw')} from the covariance are possible rigs: the "
+                f"covariance is too large"
             )
         drawn = middle + root @ rng.standard_normal(len(names))
         try:

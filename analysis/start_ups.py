@@ -20,6 +20,7 @@ from analysis.prediction import QUANTITIES
 from analysis.results import PointResult
 from analysis.scores import DISPLAYED, NAMES, finite
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 START_UPS = "start-ups"
 """Name of the guided test."""
@@ -137,7 +138,7 @@ class StartUps:
         """Result of the series in sentences, the verdict first."""
         counted = ", ".join(f"{number} {verdict}" for verdict, number in self.counts.items())
         at = f"{self.speed_rpm:.4g} rpm" if self.speed_rpm else "a speed that no log states"
-        first = f"{len(self.results)} start-ups at {at}: {'pass' if self.passed else 'FAIL'}"
+        first = f"{number_of(len(self.results), 'start-up')} at {at}: {'pass' if self.passed else 'FAIL'}"
         found = [f"{first} ({counted})"]
         for ending in self.endings:
             found.append(f"{ending.count} ended at {_place(ending)}: {'; '.join(_scattered(ending))}")

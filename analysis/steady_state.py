@@ -18,7 +18,7 @@ from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
 from rig_basics.arrays import Array, Complex
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 from rig_configs import Rig
 
 AVERAGE_S = 6.0  # averaged interval at the end of the plateau
@@ -201,7 +201,7 @@ def plateau_end(mark_time_s: Array, mark_phase_rad: Array, from_s: float) -> flo
     after = mark_time_s >= from_s
     times, phases = mark_time_s[after], mark_phase_rad[after]
     if len(times) < 3:
-        raise NotEnoughData(f"only {len(times)} tachometer marks after the release at {from_s:.1f} s")
+        raise NotEnoughData(f"only {number_of(len(times), 'tachometer mark')} after the release at {from_s:.1f} s")
     speeds = np.diff(phases) / np.diff(times)
     plateau = np.median(speeds)
     off = np.abs(speeds / plateau - 1)
@@ -214,7 +214,7 @@ def plateau_start(mark_time_s: Array, mark_phase_rad: Array, from_s: float, end_
     inside = (mark_time_s >= from_s) & (mark_time_s <= end_s)
     times, phases = mark_time_s[inside], mark_phase_rad[inside]
     if len(times) < 3:
-        raise NotEnoughData(f"only {len(times)} tachometer marks between {from_s:.1f} and {end_s:.1f} s")
+        raise NotEnoughData(f"only {number_of(len(times), 'tachometer mark')} between {from_s:.1f} and {end_s:.1f} s")
     speeds = np.diff(phases) / np.diff(times)
     off = np.abs(speeds / np.median(speeds[-max(1, len(speeds) // 4) :]) - 1)
     ramp = np.flatnonzero(off > max(2 * _MIN_SPEED_TOLERANCE, 8 * float(np.median(off))))
@@ -301,7 +301,7 @@ def _speed(run: Run, start: float, end: float) -> Interval:
     inside = (run.mark_time_s >= start) & (run.mark_time_s <= end)
     times, phases = run.mark_time_s[inside], run.mark_phase_rad[inside]
     if len(times) < 4:
-        raise NotEnoughData(f"only {len(times)} tachometer marks in the last {end - start:.1f} s")
+        raise NotEnoughData(f"only {number_of(len(times), 'tachometer mark')} in the last {end - start:.1f} s")
     line: Array = np.asarray(np.polyfit(times - times[0], phases - phases[0], 1), np.float64)
     slope, offset = line.tolist()
     rest = phases - phases[0] - offset - slope * (times - times[0])
@@ -315,7 +315,7 @@ def _angles(run: Run, start: float, end: float) -> tuple[Array, Array]:
     time, angles = _between(run.angle_time_s, run.angle_rad, start, end)
     psi = np.interp(time, run.mark_time_s, run.mark_phase_rad)
     if len(time) < 200 or psi[-1] - psi[0] < 4 * np.pi:
-        raise NotEnoughData(f"only {len(time)} pendulum samples in the last {end - start:.1f} s")
+        raise NotEnoughData(f"only {number_of(len(time), 'pendulum sample')} in the last {end - start:.1f} s")
     whole = psi >= psi[-1] - 2 * np.pi * math.floor((psi[-1] - psi[0]) / (2 * np.pi))
     basis = np.stack([f(k * psi[whole]) for k in (1, 2) for f in (np.cos, np.sin)] + [np.ones(whole.sum())], axis=1)
     fit = np.linalg.lstsq(basis, angles[whole], rcond=None)[0]

@@ -18,7 +18,7 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import ArrayLike, NDArray
 
-from rig_basics.texts import storable
+from rig_basics.texts import number_of, storable
 
 RX, TX = 0, 1
 """Direction of raw bytes: received from the device, transmitted to the device."""
@@ -157,7 +157,9 @@ class Channel:
         try:
             files.ParseFromString(data)
         except DecodeError as fault:
-            raise ValueError(f"{topic}: expected a FileDescriptorSet as schema, got {len(data)} other bytes") from fault
+            raise ValueError(
+                f"{topic}: expected a FileDescriptorSet as schema, got {number_of(len(data), 'other byte')}"
+            ) from fault
         for file in files.file:
             for message in file.message_type:
                 if f"{file.package}.{message.name}".lstrip(".") == schema_name:
@@ -217,7 +219,8 @@ def _fields(message: bytes) -> Iterable[tuple[int, bytes]]:
             raise ValueError(f"expected a protobuf field, got wire type {wire_type}")
         if position + size > len(message):
             raise ValueError(
-                f"expected {size} more bytes in a protobuf field, the message has {len(message) - position}"
+                f"expected {number_of(size, 'more byte')} in a protobuf field, the message has "
+                f"{len(message) - position}"
             )
         yield tag, message[position : position + size]
         position += size

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from rig_basics.texts import number_of
 
 RX, TX = 0, 1
 
@@ -33,6 +34,22 @@ class Batch:
 
 LOSS_KINDS = ("gap", "damage", "marks", "clock")
 """Kinds of events about what is missing or contradicts itself: samples; bytes and frames; index marks; a clock."""
+
+
+SILENT_MS = "_silent_ms"
+"""Ending of the kind of loss that is the duration of a channel's silence."""
+
+
+def loss_words(number: int, kind: str) -> str:
+    """Return a loss with its number, for example "1 radio frame", "2 radio frames", "3 damaged".
+
+    Args:
+        number: how many.
+        kind: key of the count, for example "radio_frames" or "laser_x.samples".
+    """
+    words = kind.replace("_", " ").replace(".", " ")
+    plural = words.endswith("s") and not kind.endswith(SILENT_MS)
+    return number_of(number, words.removesuffix("s") if plural else words, words)
 
 
 @dataclass(frozen=True)

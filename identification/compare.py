@@ -14,6 +14,7 @@ from scipy.special import chdtrc, ndtr
 
 from identification.difference import difference
 from identification.errors import NotIdentifiable
+from rig_basics.texts import number_of
 from rig_configs.parameters_file import IdentifiedParameters
 
 LEVELS = (0.001, 0.01, 0.05)
@@ -143,7 +144,10 @@ def compare_parameters(old: IdentifiedParameters, new: IdentifiedParameters) -> 
     ]
     notes = [*apart.notes]
     if dof < len(names):
-        notes.append(f"{len(names) - dof} of {len(names)} directions rest on the same logs both times: no change there")
+        notes.append(
+            f"{len(names) - dof} of {number_of(len(names), 'direction rests', 'directions rest')} on the "
+            f"same logs both times: no change there"
+        )
     return ParameterComparison(
         changes,
         covariance,

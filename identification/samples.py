@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from identification.errors import NotIdentifiable
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 _MAX_INTERVALS = 20_000  # sampling intervals of which the median is taken
 _FALSE_ALARM_RATE = 5e-4  # probability that white residuals are called correlated
@@ -79,7 +80,8 @@ def checked_times(time_s: np.ndarray, *, any_order: bool = False) -> Array:
     repeated = np.flatnonzero(steps == 0)
     if 2 * len(repeated) >= len(steps) > 0:
         raise NotIdentifiable(
-            f"{len(repeated)} of {len(finite)} times repeat the time before, first {finite[repeated[0]]:.6g} s; give "
+            f"{len(repeated)} of {number_of(len(finite), 'time')} repeat the time before, "
+            f"first {finite[repeated[0]]:.6g} s; give "
             "each sample its own time. A time with too few digits, or that of a packet, belongs to one sample only"
         )
     return time
@@ -98,7 +100,9 @@ def white_noises(value: np.ndarray) -> np.ndarray:
     """White noise, as in `white_noise`, of many stretches at once: values of shape (…, n) without NaN to shape (…)."""
     third = np.diff(value, 3)
     if third.shape[-1] < 20:
-        raise NotIdentifiable(f"{value.shape[-1]} samples are too few to estimate the noise; record longer")
+        raise NotIdentifiable(
+            f"{number_of(value.shape[-1], 'sample is', 'samples are')} too few to estimate the noise; record longer"
+        )
     robust = np.median(np.abs(third), axis=-1, keepdims=True) / 0.6745
     limit = np.where(robust > 0, 8 * robust, np.inf)  # the median of a coarsely quantised signal may be 0
     return np.sqrt(np.mean(np.clip(third, -limit, limit) ** 2, axis=-1) / 20.0)

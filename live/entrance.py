@@ -33,6 +33,7 @@ from live.errors import CommandRefused
 from live.guard import HEADERS, Access
 from live.messages import Facts
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 
 STOP_PATH = "/stop"
 MOST_ASKING, MOST_ANSWERED = 256, 64
@@ -237,7 +238,8 @@ class Entrance:
         waiting = sum(each.stage is _Stage.ORDERED for each in self._answered)
         self._settle(guest, _Stage.ORDERED, _ANSWER_S)
         if waiting >= MOST_ANSWERED:  # the pipe to the recorder must not fill up
-            self._answer(guest, 503, {"error": f"stop: {waiting} earlier orders to stop have no answer yet"})
+            unanswered = number_of(waiting, "earlier order to stop has", "earlier orders to stop have")
+            self._answer(guest, 503, {"error": f"stop: {unanswered} no answer yet"})
             return
         try:
             answer = self._order()

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_basics.texts import storable
+from rig_basics.texts import number_of, storable
 
 MAGIC = b"RIG1"
 _HEAD = struct.Struct("<4sI")
@@ -49,7 +49,7 @@ def decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]
     place = _HEAD.size + length
     for name, size in header.pop(_COLUMNS).items():
         if place + 4 * size > len(data):
-            raise ValueError(f"expected {size} numbers of column {name!r}, the picture ends before")
+            raise ValueError(f"expected {number_of(size, 'number')} of column {name!r}, the picture ends before")
         columns[name] = np.frombuffer(data, "<f4", size, place)
         place += 4 * size
     return header, columns

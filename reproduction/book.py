@@ -16,6 +16,7 @@ from matplotlib import image
 from daq.version import software_version
 from reproduction.catalogue import Page, pages
 from reproduction.files import Written
+from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 
 _TEMPLATE = "book.html.j2"
@@ -115,7 +116,8 @@ def _overview(made: Sequence[Written], on_pages: Mapping[Page, Sequence[Written]
         "2006. `rig reproduce` computes its figures and tables again, with their data, and judges its claims. The",
         "statements are in our words.",
         "",
-        f"{sum(counts.values())} claims: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
+        f"{number_of(sum(counts.values()), 'claim')}: "
+        f"{', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
         "",
         "## Claims that do not hold, or hold in part",
         "",

@@ -1,4 +1,4 @@
-"""Texts from outside, which can contain bytes that are not UTF-8, and numbers that are compared in a sentence."""
+"""Texts from outside with bytes that are not UTF-8, counted nouns, and numbers that are compared in a sentence."""
 
 from __future__ import annotations
 
@@ -15,6 +15,20 @@ def storable(text: str) -> str:
     No file, log or network message can. A file is opened by its own name, not by this text.
     """
     return text if text.isascii() else _LONE_SURROGATE.sub("\ufffd", text)
+
+
+def number_of(count: int, one: str, many: str = "", form: str = "") -> str:
+    """Return a number with what it counts, for example "1 log" or "3 logs".
+
+    All texts that contain a counted noun are made of it, so that none contains "1 logs".
+
+    Args:
+        count: how many.
+        one: the noun for one, also with its verb: "sample was lost".
+        many: the same for other numbers; empty: `one` with an s.
+        form: format of the number, for example "12,d".
+    """
+    return f"{count:{form}} {one if count == 1 else many or f'{one}s'}"
 
 
 def distinct(value: float, limit: float, digits: int = 2) -> tuple[str, str]:

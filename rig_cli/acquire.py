@@ -19,6 +19,7 @@ from daq.guided_tests.procedure import zero_counters
 from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.transports import HostClock
+from rig_basics.texts import number_of
 from rig_cli.check_page import print_checks
 from rig_cli.console import notify, print_json, show
 from rig_cli.foxglove import follow_session, foxglove_of_session
@@ -205,7 +206,7 @@ def warning_words(number: int, listen: bool) -> str:
     """Return the last words of a recording: how many warnings it had, and what follows from them."""
     if not number:
         return ""
-    return f"; {number} warning{'s' * (number > 1)} (above)" + ("" if listen else ": the run is not clean")
+    return f"; {number_of(number, 'warning')} (above)" + ("" if listen else ": the run is not clean")
 
 
 def _record_until(

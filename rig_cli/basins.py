@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_basics.whole_file import written_whole
 from rig_cli.console import notify, print_json, wait_for_compilation
@@ -180,7 +181,7 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
         return assembled(worked_out(study, place, scheduler, "tiles"))
     total = what.releases[0] * what.releases[1]
     try:
-        with share_progress(f"{total} releases of {what.seconds:g} s", total, "releases") as progress:
+        with share_progress(f"{number_of(total, 'release')} of {what.seconds:g} s", total, "releases") as progress:
             return basin_map(what.physics, what.speed_rad_s, *what.angles_rad, what.seconds, progress=progress)
     except KeyboardInterrupt:
         notify("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
@@ -193,7 +194,7 @@ def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: BasinRe
 
     if not known.values:
         notify("rig basins: no --parameters FILE: only the locks' play is drawn")
-    with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
+    with share_progress(f"{number_of(draws, 'rig')} drawn", draws, "rigs") as progress:
         found = end_probabilities(
             what.physics,
             what.speed_rad_s,
@@ -303,7 +304,8 @@ def _result(rig: Rig, found: BasinMap, took: float) -> dict[str, Any]:
 
 def _print(result: dict[str, Any], settings: list[str] | None) -> None:
     print(
-        f"{result['speed_rpm']:.6g} rpm, speed ratio {result['speed_ratio']:.6g}: {result['releases']} releases, each "
+        f"{result['speed_rpm']:.6g} rpm, speed ratio {result['speed_ratio']:.6g}: "
+        f"{number_of(result['releases'], 'release')}, each "
         f"followed for up to {result['followed_s']:g} s, in {result['seconds']:.3g} s"
     )
     for end in result["ends"]:
@@ -322,7 +324,7 @@ def _print(result: dict[str, Any], settings: list[str] | None) -> None:
 
 def _print_chances(chances: dict[str, Any]) -> None:
     print(
-        f"release of the real locks, ± {chances['play_deg']:g}° of play, {chances['draws']} rigs drawn "
+        f"release of the real locks, ± {chances['play_deg']:g}° of play, {number_of(chances['draws'], 'rig')} drawn "
         f"({100 * chances['level']:g} % intervals):"
     )
     for end in chances["ends"]:

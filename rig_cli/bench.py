@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 from rig_cli.console import StepProgress, plain, print_json, wait_for_compilation
 from rig_cli.option_groups import OUTPUT
@@ -110,8 +111,9 @@ def _dynamics(quick: bool) -> _Run:
     )
     if quick:
         notes += [
-            f"--quick: no whole processes, no stiff and slow cases; a map of {math.prod(size.map_shape)} points and a "
-            f"batch of {size.runs} runs are too small to be judged by the targets"
+            f"--quick: no whole processes, no stiff and slow cases; a map of "
+            f"{number_of(math.prod(size.map_shape), 'point')} and a "
+            f"batch of {number_of(size.runs, 'run')} are too small to be judged by the targets"
         ]
     rows = compared(_measured(work_precision.stages(rig.physics, points, size), _DYNAMICS_S))
     page = tables.page(worth_showing(rows), work_precision.targets(rows), machine, notes)
@@ -135,7 +137,10 @@ def _identification(quick: bool) -> _Run:
     notes = [f"seed {precision.SEED}; every case draws its records from it and its own name"]
     notes += [f"{name} is not installed: {library_peers.INSTALL}" for name in library_peers.missing()]
     if quick:
-        notes.append(f"--quick: fewer cases, and {size.runs} records or fewer are too few to be judged by the targets")
+        notes.append(
+            f"--quick: fewer cases, and {number_of(size.runs, 'record')} or fewer are too few to be judged "
+            f"by the targets"
+        )
     stages = precision.stages(load_rig(_RIG).physics, size)
     rows = compared(_measured(stages, _IDENTIFICATION_S), trials.AT_THE_BOUND)
     page = tables.page(rows, precision.targets(rows), where, notes)

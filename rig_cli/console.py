@@ -17,8 +17,10 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.text import Text
 
 from dynamics.compiled_code import load_compiler
+from rig_basics.texts import number_of
 from rig_cli import answer
 
+_COMPILING_EVERY_S = 10.0  # between two lines about the functions that are compiled
 _CONTROL_CATEGORIES = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, surrogate, none, line ends
 
 
@@ -159,18 +161,27 @@ def wait_for_compilation(what: str) -> Generator[None]:
     class FirstCompilation(event.Listener):
         def __init__(self) -> None:
             self.seconds, self.depth, self.started = 0.0, 0, 0.0
+            self.functions, self.shown_s = 0, 0.0
 
         def on_start(self, event: Any) -> None:
             if self.depth == 0:
                 self.started = time.monotonic()
                 if self.seconds == 0:
-                    notify(f"compiling {what} code, once for this command: ten seconds, minutes on a busy machine …")
+                    self.shown_s = self.started
+                    notify(
+                        f"compiling {what} code, once after an installation: ten seconds, minutes on a busy machine …"
+                    )
             self.depth += 1
 
         def on_end(self, event: Any) -> None:
             self.depth -= 1
+            self.functions += 1
+            now = time.monotonic()
+            if now - self.shown_s > _COMPILING_EVERY_S:
+                self.shown_s = now
+                notify(f"compiling: {number_of(self.functions, 'function')} so far …")
             if self.depth == 0:
-                self.seconds += time.monotonic() - self.started
+                self.seconds += now - self.started
 
     listener = FirstCompilation()
     # numba has no types

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
 from rig_cli.options import Json
 
@@ -123,7 +124,7 @@ def _searched(ports: Mapping[str, bool], drivers: Sequence[Driver], clock: HostC
         shares[port] = 1.0
         return result
 
-    text = f"searching {len(ports)} port{'s' if len(ports) > 1 else ''}"
+    text = f"searching {number_of(len(ports), 'port')}"
     with share_progress(text) as progress, ThreadPoolExecutor(len(ports)) as workers:
         try:
             found = [workers.submit(search, port, ask) for port, ask in ports.items()]

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig_basics.texts import number_of
 from rig_cli.console import show
 from rig_cli.words import printable, stdout_console
 
@@ -82,9 +83,9 @@ def _print_results(console: Console, results: list[Mapping[str, Any]]) -> None:
 def _evidence(result: Mapping[str, Any]) -> str:
     parts: list[str] = []
     if result["samples"]:
-        parts.append(f"{result['samples']} samples, {result['losses']} losses")
+        parts.append(f"{number_of(result['samples'], 'sample')}, {number_of(result['losses'], 'loss', 'losses')}")
     elif result["bytes_in"]:
-        parts.append(f"{result['bytes_in']} bytes")
+        parts.append(number_of(result["bytes_in"], "byte"))
     if result["how"] == "answered":
         parts.append("answered a request")
     if result["other_drivers"]:

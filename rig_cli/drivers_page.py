@@ -9,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from rig_basics.texts import number_of
 from rig_cli.words import printable, stdout_console
 from rig_testing.report import DriverReport
 
@@ -40,5 +41,7 @@ def print_report(report: DriverReport) -> None:
     tried = sum(outcome.tried for outcome in report.outcomes)
     verdict = Text("pass", "bold green") if report.passed else Text(f"{len(report.failed)} FAILED", "bold red")
     console.print(
-        Text.assemble((printable(report.driver), "bold"), "  ", verdict, f"  {tried} tests in {report.seconds:.1f} s")
+        Text.assemble(
+            (printable(report.driver), "bold"), "  ", verdict, f"  {number_of(tried, 'test')} in {report.seconds:.1f} s"
+        )
     )

@@ -6,6 +6,7 @@ import gc
 import sys
 
 from rig_cli.signals import end_at_next_signal
+from rig_cli.stages import begin_stage, watch_stages
 from rig_cli.streams import open_streams
 
 _SHORT_COMMANDS = {"predict", "--help", "-h", "--version"}  # commands that end within a second or two
@@ -17,6 +18,7 @@ def main() -> None:
     if set(sys.argv[1:2]) & _SHORT_COMMANDS:  # long-running commands keep the default, which gives shorter pauses
         gc.set_threshold(*_RARE_COLLECTION)
     open_streams()
+    watch_stages(sys.argv[1:])
     try:
         from rig_cli.main import main as carry_out  # loading takes a while
 
@@ -36,6 +38,7 @@ def main() -> None:
         crash.report(error, sys.argv[1:])
         sys.exit(answer.ended(0))
     finally:
+        begin_stage("")
         gc.freeze()  # at exit the interpreter would search all objects of numba for garbage: a third of a second
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show
 from rig_cli.option_groups import COLUMNS, LOG_PART, OUTPUT, RECORDING
 from rig_cli.options import WHOLE_LOG, Json, LogSpan, Settings
@@ -78,7 +79,7 @@ def export(
 
 def _print_export(done: Exported) -> None:
     for name, count in done.rows.items():
-        show(f"{name:10} {count:9d} samples")
+        show(f"{name:10} {number_of(count, 'sample', form='9d')}")
     for file in done.files:
         notify(f"written to {file}")
 
@@ -212,7 +213,10 @@ def import_(
 
 def _print_import(done: Imported) -> None:
     for topic, count in done.samples.items():
-        show(f"{topic:10} {count:9d} samples")
+        show(f"{topic:10} {number_of(count, 'sample', form='9d')}")
     for device, count in done.invalid.items():
-        show(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
+        show(
+            f"{device:10} {number_of(count, 'invalid reading', form='9d')}, "
+            f"{number_of(done.gaps.get(device, 0), 'sample')} in gaps"
+        )
     notify(f"written to {done.path}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli import answer
 from rig_cli.console import notify
 from rig_cli.option_groups import DISPLAYS
@@ -154,4 +155,7 @@ def _refusal_reporter(notify: Callable[[str], None]) -> Callable[[str], None]:
 
 def _report_skipped(left_out: int, notify: Callable[[str], None]) -> None:
     if left_out:
-        notify(f"Foxglove connection: {left_out} messages were skipped for slow clients; the log contains all")
+        notify(
+            f"Foxglove connection: {number_of(left_out, 'message was', 'messages were')} skipped for slow "
+            f"clients; the log contains all"
+        )

@@ -13,6 +13,7 @@ from daq.guided_tests.plan import GuidedTestPlan, PlannedState
 from daq.guided_tests.test_inputs import test_names
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
+from rig_basics.texts import number_of
 from rig_cli.console import harmless, notify, show
 from rig_cli.words import length, stdout_console
 from rig_configs.schema import Rig
@@ -20,7 +21,7 @@ from rig_configs.schema import Rig
 
 def print_plan(plan: GuidedTestPlan) -> None:
     """Print a plan: its head, the table of states, and the prompts."""
-    times = f", {plan.repeats} times" if plan.repeats > 1 else ""
+    times = f", {number_of(plan.repeats, 'time')}" if plan.repeats > 1 else ""
     show(f"{plan.test}: {plan.line}{times}; about {length(plan.usual_s)}")
     show(f"  needs    {', '.join(f'{signal} ({device})' for signal, device in plan.needs.items()) or 'nothing'}")
     show(f"  gives    {', '.join(plan.gives) or 'nothing that is identified'}")

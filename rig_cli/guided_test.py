@@ -18,6 +18,7 @@ from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
 from daq.guided_tests.test_inputs import requested_test
 from daq.transports import HostClock
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show, wait_for_compilation
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
@@ -273,7 +274,9 @@ def _counts(done: TestDone) -> list[str]:
     counted = done.summary.get("classes")
     if not done.runs or counted is None:
         return []
-    lines = [f"{done.summary['start_ups']} start-ups: {', '.join(f'{n} {name}' for name, n in counted.items())}"]
+    lines = [
+        f"{number_of(done.summary['start_ups'], 'start-up')}: {', '.join(f'{n} {name}' for name, n in counted.items())}"
+    ]
     for state, measured in done.summary["measured"].items():
         figures = (f"{key} {v['mean']:.5g} ({v['least']:.5g} … {v['largest']:.5g})" for key, v in measured.items())
         lines.append(f"  {state}, {done.summary['states'][state]}: {', '.join(figures) or 'nothing measured'}")

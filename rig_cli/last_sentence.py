@@ -8,12 +8,8 @@ from typing import Any
 
 from daq.acquisition.device_check import passed
 from daq.drivers.checks import Checks, DeviceCheck
+from rig_basics.texts import number_of
 from rig_configs import PARAMETER_SYMBOLS, IdentifiedParameters
-
-
-def number_of(count: int, one: str, many: str = "") -> str:
-    """Return for example "1 log" or "3 logs"."""
-    return f"{count} {one if count == 1 else many or f'{one}s'}"
 
 
 def check_sentence(devices: Mapping[str, Checks], rotor_warning: str = "") -> str:
@@ -24,7 +20,7 @@ def check_sentence(devices: Mapping[str, Checks], rotor_warning: str = "") -> st
         name, what, found = _worst(failed)
         return _ended(f"{others}: {name}: {what}{_compared(found)}{f'; {found.note}' if found.note else ''}")
     fine = {1: "The device is fine", 2: "Both devices are fine"}.get(
-        len(devices), f"All {len(devices)} devices are fine"
+        len(devices), f"All {number_of(len(devices), 'device is', 'devices are')} fine"
     )
     if rotor_warning:
         return _ended(f"{fine}, but {rotor_warning}")

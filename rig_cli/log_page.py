@@ -7,9 +7,10 @@ from typing import Any, cast
 
 from rich.text import Text
 
-from daq.items import LOSS_KINDS
+from daq.items import LOSS_KINDS, loss_words
 from daq.log.content import seconds
 from daq.log.outcome import not_reached
+from rig_basics.texts import number_of
 from rig_cli.log_table import STATES, VERDICTS
 from rig_cli.trip_page import trip_lines
 from rig_cli.words import length, local_time, printable, size, stdout_console
@@ -85,7 +86,7 @@ def _recorded(facts: Mapping[str, Any]) -> Iterable[str]:
     if started := facts["run"].get("started"):
         yield local_time(started)
     yield length(facts["duration_s"])
-    yield f"{size(facts['size_bytes'])} in {facts['chunks']} chunks"
+    yield f"{size(facts['size_bytes'])} in {number_of(facts['chunks'], 'chunk')}"
     if facts["library"]:
         yield f"written by {facts['library']}"
 
@@ -103,7 +104,7 @@ def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, st
         return
     source = {"summary": "", "health": " (up to its last health report)", "events": " (by its events)", "none": ""}
     counts = [
-        f"{device} {n} {kind.replace('_', ' ')}"
+        f"{device} {loss_words(n, kind)}"
         for device, kinds in losses["by_device"].items()
         for kind, n in kinds.items()
         if n
@@ -111,7 +112,9 @@ def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, st
     text = ", ".join(counts) or "nothing lost"
     yield "losses", text + source[losses["source"]], "bold red" if losses["total"] else "green"
     for device, kinds in losses["events"].items():
-        counted = [f"{kind} {loss['events']} times, {loss['span_s']:.6g} s" for kind, loss in kinds.items()]
+        counted = [
+            f"{kind} {number_of(loss['events'], 'time')}, {loss['span_s']:.6g} s" for kind, loss in kinds.items()
+        ]
         yield "", f"{device}: {'; '.join(counted)}", "red"
 
 
@@ -119,15 +122,21 @@ def _channel_lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     for topic, channel in facts["channels"].items():
         if channel:
             text = (
-                f"{topic:12}{channel['samples']:12,d} samples {channel['span_s']:11.3f} s {channel['rate_Hz']:10.2f} Hz"
+                f"{topic:12}{number_of(channel['samples'], 'sample ', 'samples', '12,d')} {channel['span_s']:11.3f} s "
+                f"{channel['rate_Hz']:10.2f} Hz"
             )
             yield "channel", text.replace(",", " "), ""
     for topic, count in facts["foreign_topics"].items():
-        yield "topic", f"{topic:12}{count:12,d} messages of another program".replace(",", " "), ""
+        yield "topic", f"{topic:12}{number_of(count, 'message', form='12,d')} of another program".replace(",", " "), ""
     for device, raw in facts["raw"].items():
         if raw:
             ways = "" if raw["bytes_in"] is None else f", {size(raw['bytes_in'])} in, {size(raw['bytes_out'])} out"
-            yield "raw", f"{device:12}{raw['messages']:12,d} reads and writes".replace(",", " ") + ways, ""
+            calls = number_of(raw["messages"], "read or write", "reads and writes", "12,d")
+            yield (
+                "raw",
+                f"{device:12}{calls.replace(',', ' ')}{ways}",
+                "",
+            )
 
 
 def _health_lines(health: Mapping[str, Any] | None) -> Iterable[tuple[str, str, str]]:
@@ -138,7 +147,7 @@ def _health_lines(health: Mapping[str, Any] | None) -> Iterable[tuple[str, str, 
     if slow_s > 0:
         text, style = f"the disk was behind for {slow_s:.1f} s", "yellow"
     elif health.get("stalled"):
-        text, style = f"writing stalled {health['stalled']} times", "yellow"
+        text, style = f"writing stalled {number_of(health['stalled'], 'time')}", "yellow"
     else:
         text, style = "the disk kept up", ""
     yield "health", f"last report at {health['time_s']:.1f} s: {text}", style

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.errors import LogError
+from rig_basics.texts import number_of
 from rig_cli.console import notify
+from rig_cli.stages import begin_stage
 from rig_configs import RigFileError
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ def readable_runs(places: LogPlaces, part: TimeSpan | None = None) -> tuple[list
     """
     from studies.runs import WHOLE, load_runs  # numba takes seconds to import
 
+    begin_stage(f"reading {number_of(len(places.logs), 'log')}")
     runs: list[Run] = []
     messages: list[str] = []
     for log in places.logs:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from daq.catalogue.entry import Entry
 from daq.log.outcome import not_reached
+from rig_basics.texts import number_of
 from rig_cli.console import notify
 from rig_cli.words import length, local_time, printable, size, stdout_console
 
@@ -69,7 +70,7 @@ _COLUMNS = (
 def print_logs(entries: Sequence[Entry], files: int, folder: Path) -> None:
     """Print the table on standard output in the requested order, and a closing line on standard error."""
     if not entries:
-        notify(f"{folder}: no logs" if files == 0 else f"{folder}: none of {files} logs matches")
+        notify(f"{folder}: no logs" if files == 0 else f"{folder}: none of {number_of(files, 'log')} matches")
         return
     console = stdout_console()
     columns = _that_fit(entries, console.width)
@@ -116,7 +117,7 @@ def _that_fit(entries: Sequence[Entry], room: int) -> list[tuple[_Column, int]]:
 def _closing(entries: Sequence[Entry], files: int) -> str:
     broken = sum(not entry.complete for entry in entries)
     lossy = sum(bool(entry.lost) for entry in entries)
-    parts = [f"{len(entries)} of {files} logs" if len(entries) != files else f"{files} logs"]
+    parts = [f"{len(entries)} of {number_of(files, 'log')}" if len(entries) != files else number_of(files, "log")]
     parts += [f"{broken} not whole"] if broken else []
     parts += [f"{lossy} with losses"] if lossy else []
     return ", ".join(parts)

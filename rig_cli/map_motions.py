@@ -18,6 +18,7 @@ from analysis.maps.files import write_map
 from analysis.maps.question import MapQuestion
 from analysis.maps.records import motion_record
 from analysis.maps.states import STATES, StateMap
+from rig_basics.texts import number_of
 from rig_cli.console import notify, plain, print_json
 from rig_cli.map_page import borders_json
 from rig_cli.options import what_if_words
@@ -102,8 +103,9 @@ def _json(found: StateMap | CoexistenceMap, seconds: float) -> dict[str, Any]:
 
 def _print(found: StateMap | CoexistenceMap, seconds: float) -> None:
     question, count = found.question, len(found.x) * len(found.y)
-    what = f"releases of {question.seconds:g} s" if isinstance(found, StateMap) else "points"
-    print(f"{count} {what} in {seconds:.3g} s")
+    counted = number_of(count, "release") if isinstance(found, StateMap) else number_of(count, "point")
+    of = f" of {question.seconds:g} s" if isinstance(found, StateMap) else ""
+    print(f"{counted}{of} in {seconds:.3g} s")
     for name, share in found.shares.items():
         print(f"{name}: {100 * share:.1f} %")
     if isinstance(found, StateMap):

@@ -14,6 +14,7 @@ from analysis.figures.plane_maps import draw_map
 from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
 from dynamics.stability.borders import Borders
+from rig_basics.texts import number_of
 from rig_cli.console import notify
 from rig_cli.options import what_if_words
 
@@ -117,7 +118,8 @@ def borders_json(lines: Borders) -> list[dict[str, Any]]:
 def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
     """Print the result as text."""
     print(
-        f"{result['points']} points in {result['seconds']:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "
+        f"{number_of(result['points'], 'point')} in {result['seconds']:.3g} s "
+        f"({result['microseconds_per_point']:.3g} µs a point), "
         f"balanced state stable on {100 * result['stable_share']:.1f} %, largest error estimate "
         f"{result['largest_error_estimate']:.1g}"
     )
@@ -131,7 +133,7 @@ def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
             if border["closed"]
             else "from {:.4g}, {:.4g} to {:.4g}, {:.4g}".format(*border["from"], *border["to"])
         )
-        print(f"border: {', '.join(border['kinds'])}; {border['points']} points, {ends}")
+        print(f"border: {', '.join(border['kinds'])}; {number_of(border['points'], 'point')}, {ends}")
     if result["borders"] is not None:
         across, up = result["borders_complete_to"]
         print(
@@ -143,7 +145,10 @@ def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
     if settings:
         print(what_if_words(settings))
     if missed := result["points_beyond_accuracy"]:
-        notify(f"{missed} points are less accurate than requested; error_estimate has the error of each")
+        notify(
+            f"{number_of(missed, 'point is', 'points are')} less accurate than requested; error_estimate has "
+            f"the error of each"
+        )
 
 
 def _print_refined_and_varied(result: Mapping[str, Any]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, show, wait_for_compilation
 from rig_cli.last_sentence import predict_sentence
@@ -338,7 +339,7 @@ def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
     lines: list[str] = []
     for end, members in _by_end(releases).items():
         first = members[0]
-        of = f"{len(members)} of {len(releases)} releases" if len(members) < len(releases) else "a release"
+        of = f"{len(members)} of {number_of(len(releases), 'release')}" if len(members) < len(releases) else "a release"
         begin = f"{of} from 0° and 180° (± 0.2° of play)"
         if end[0] == "not settled":
             lines.append(f"{begin}: {first['seen']}")
@@ -347,10 +348,10 @@ def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
             shrunk = first["slip_shrinkage"]
             lines.append(
                 f"{begin}: slipping for ever, A {a:.4g} and B {b:.4g} turns per revolution: a stable slipping motion "
-                f"(deviations shrink to {shrunk['factor']:.1g} in {shrunk['revolutions']} revolutions)"
+                f"(deviations shrink to {shrunk['factor']:.1g} in {number_of(shrunk['revolutions'], 'revolution')})"
             )
         elif end[0] == "held by friction":
-            lines.append(f"{begin}: held by friction; followed for {first['revolutions']} revolutions")
+            lines.append(f"{begin}: held by friction; followed for {number_of(first['revolutions'], 'revolution')}")
         else:
             about = "" if all(m["same_time"] for m in members) else "about "
             chance = "" if all(m["same_end"] for m in members) else "; which end a single release takes is chance"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
 from rig_cli.option_groups import OUTPUT
@@ -128,7 +129,7 @@ def history(
 
     print_history(found, overall, level)
     if found.skipped:
-        notify(f"{len(found.skipped)} other TOML files are not parameters files")
+        notify(f"{number_of(len(found.skipped), 'other TOML file is', 'other TOML files are')} not parameters files")
     if plot is not None:
         notify(f"drawn: {plot}")
     return 0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import between
 from rig_cli.options import Json, Settings, what_if_words
@@ -266,7 +267,9 @@ def _drawn(answer: BudgetAnswer, rig: Rig | None, level: float, trials: int | No
 
         count = trials or _MODEL_TRIALS
         found = answer.predicted
-        with share_progress(f"{count} draws of {', '.join(found.predictions)}", count, "draws") as progress:
+        with share_progress(
+            f"{number_of(count, 'draw')} of {', '.join(found.predictions)}", count, "draws"
+        ) as progress:
             model = NonlinearModel(found, rig.physics, progress, count)
             sampled.append(
                 monte_carlo(

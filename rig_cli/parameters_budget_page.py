@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rig_basics.texts import number_of
 from rig_cli.parameters_page import rounded
 from rig_cli.words import printable, stdout_console
 from rig_configs import Rig
@@ -154,7 +155,9 @@ def _print_exact(console: Console, rig: Rig | None, answer: BudgetAnswer, togeth
             hidden += 0 < abs(sigmas) < _LEAST_SIGMAS
     console.print(table)
     if hidden:
-        console.print(Text(f"{hidden} changes below {_LEAST_SIGMAS:g} standard uncertainties are in --json", "dim"))
+        console.print(
+            Text(f"{number_of(hidden, 'change')} below {_LEAST_SIGMAS:g} standard uncertainties are in --json", "dim")
+        )
 
 
 def _print_monte_carlo(console: Console, answer: BudgetAnswer) -> None:
@@ -162,7 +165,7 @@ def _print_monte_carlo(console: Console, answer: BudgetAnswer) -> None:
         return
     trials = " and ".join(str(result.trials) for result in answer.sampled)
     kind = "symmetric"
-    console.print(Text(f"Monte Carlo, {trials} draws, {kind} interval against the linear one", "bold"))
+    console.print(Text(f"Monte Carlo, {number_of(trials, 'draw')}, {kind} interval against the linear one", "bold"))
     heads = ("quantity", "mean", "std", "interval", "d_low", "d_high", "δ", "± numerical", "verdict")
     table = _table(heads, right=(1, 2, 4, 5, 6, 7))
     spreads = {spread.name: spread for result in answer.sampled for spread in result.quantities}

@@ -15,6 +15,7 @@ from rich.text import Text
 from identification.compare import Change, ParameterComparison, short
 from identification.history import History
 from identification.joint.limits import ParameterLimit
+from rig_basics.texts import number_of
 from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
 from rig_configs.values_in_use import Origin
@@ -118,7 +119,11 @@ def print_comparison(found: ParameterComparison, words: str, level: float) -> No
         soft_wrap=True,
     )
     console.print(
-        Text(f"± is one standard deviation; significance counts all {len(found.changes)} comparisons (Holm)", "dim")
+        Text(
+            f"± is one standard deviation; significance counts all "
+            f"{number_of(len(found.changes), 'comparison')} (Holm)",
+            "dim",
+        )
     )
     for names, where in ((found.only_old, "OLD"), (found.only_new, "NEW")):
         if names:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from daq.errors import LogError
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
 from rig_cli.log_places import LogPlaces, logs_of
 from rig_cli.option_groups import OUTPUT
@@ -68,8 +69,8 @@ def plot(
     over time, of parameters files. health: rates, gaps, ages, losses and the disk's backlog over time. An .html figure
     zooms and needs no network.
 
-    A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
-    name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.
+    A folder means its logs. Logs that a kind cannot show, and unreadable ones, are named, the others are drawn. Exit 0
+    when all logs given by name are drawn, 2 when one of them, or every log of a folder, is not.
 
     Example: `rig plot bode out/run-up.mcap`
 
@@ -101,8 +102,7 @@ def plot(
             print(f"written to {figure['file']}")
     for each in left:
         notify(f"not drawn: {each.reason}")
-    passed_over = all(each.lacks and each.log in places.of_folders for each in left)
-    return 0 if drawn and passed_over else 2
+    return 0 if drawn and all(each.log in places.of_folders for each in left) else 2
 
 
 def _draw_all(
@@ -143,7 +143,7 @@ def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) 
     elif output.suffix.lower() not in SUFFIXES:
         raise RigFileError(f"rig plot: -o {output}: expected a folder, or a name ending in {', '.join(SUFFIXES)}")
     elif len(names) > 1:
-        raise RigFileError(f"rig plot: -o {output}: one file for {len(names)} figures; give a folder")
+        raise RigFileError(f"rig plot: -o {output}: one file for {number_of(len(names), 'figure')}; give a folder")
     else:
         found = [output]
     if twice := sorted({str(place) for place in found if found.count(place) > 1}):

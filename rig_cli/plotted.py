@@ -27,18 +27,17 @@ _LEVEL = 0.01  # probability of marking any change of a parameter if there is no
 
 @dataclass(frozen=True)
 class NotDrawn:
-    """A log that is in no figure: the reason, and whether the log only lacks the data that the kind shows."""
+    """A log that is in no figure, and the reason."""
 
     log: Path
     reason: str
-    lacks: bool
 
 
 def not_drawn(log: Path, error: Exception) -> NotDrawn:
     """Return why a log is in no figure."""
     reason = str(error)
     named = reason if log.name in reason else f"{log}: {reason}"
-    return NotDrawn(log, named, isinstance(error, NotEnoughData))
+    return NotDrawn(log, named)
 
 
 @dataclass(frozen=True)
@@ -163,14 +162,14 @@ class _Shown:
     left: tuple[NotDrawn, ...]
 
 
-def _shown(kind: str, logs: Sequence[Path], source: _Model, check: Callable[[Run], object]) -> _Shown:
+def _shown(kind: str, logs: Sequence[Path], source: _Model, check: Callable[[Run, RigModel], object]) -> _Shown:
     """Load all logs and check each of them.
 
     Args:
         kind: one of KINDS.
         logs: at least one.
         source: of the model.
-        check: raises NotEnoughData for a run that this kind of figure cannot show.
+        check: raises NotEnoughData for a run that this kind of figure, with this model, cannot show.
     Raises:
         RigFileError: the logs are of different rigs.
         LogError, NotEnoughData: no log can be shown.
@@ -184,7 +183,8 @@ def _shown(kind: str, logs: Sequence[Path], source: _Model, check: Callable[[Run
     model = source.of(kind, list(runs)) if runs else None
     for log, run in list(runs.items()):
         try:
-            check(run)
+            assert model is not None  # there is a run
+            check(run, model)
         except NotEnoughData as error:
             left[log] = error
             del runs[log]
@@ -200,24 +200,26 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.stability_map import MapPoint, draw_points_on_map
     from analysis.steady_state import measure
 
-    shown = _shown("map", logs, source, lambda _: None)
-    model, points, warnings = shown.model, list[MapPoint](), list[str]()
-    for log, run in zip(shown.logs, shown.runs, strict=True):
+    points: list[MapPoint] = []
+
+    def place(run: Run, model: RigModel) -> None:
         try:
             found = measure(run, model.rig)
         except NotEnoughData as error:
-            warnings.append(f"{log.name} is not a point on the map: {error}")
-            continue
+            raise NotEnoughData(f"{run.source} is not a point on the map: {error}") from error
         ratio = found.speed_rad_s.value / model.speeds_rad_s[0]
         points.append(MapPoint(point_of(run.test) or run.test, ratio, found.state))
+
+    shown = _shown("map", logs, source, place)
+    model = shown.model
     figure = draw_points_on_map(model.physics, points, f"Stability map: {model.rig.name}, {model.name}")
-    return Drawn(figure, {**_facts("map", shown.logs, model.name), "warnings": warnings}, shown.left)
+    return Drawn(figure, _facts("map", shown.logs, model.name), shown.left)
 
 
 def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.slip import draw_slip, need_slip
 
-    shown = _shown("slip", logs, source, need_slip)
+    shown = _shown("slip", logs, source, lambda run, _: need_slip(run))
     figure = draw_slip(shown.runs, shown.model)
     return Drawn(figure, _facts("slip", shown.logs, shown.model.name), shown.left)
 
@@ -225,7 +227,7 @@ def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
 def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
     from analysis.figures.multipliers import draw_multipliers, speed_point
 
-    shown = _shown("multipliers", logs, source, speed_point)
+    shown = _shown("multipliers", logs, source, lambda run, _: speed_point(run))
     figure = draw_multipliers([speed_point(run) for run in shown.runs], shown.model)
     return Drawn(figure, _facts("multipliers", shown.logs, shown.model.name), shown.left)
 
@@ -235,7 +237,7 @@ def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
     from identification import identify
     from rig_cli.report_forms import report_identification
 
-    shown = _shown("residuals", logs, source, lambda _: None)
+    shown = _shown("residuals", logs, source, lambda _run, _model: None)
     found = report_identification(identify(shown.runs, shown.model.rig, STDERR.print))
     facts = _facts("residuals", shown.logs, "fitted")
     return Drawn(draw_residuals(found.fits), {**facts, "warnings": list(found.warnings)}, shown.left)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig_basics.texts import number_of
 from rig_basics.units import RPM, TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.options import what_if_words
@@ -45,7 +46,7 @@ def predict_sweep(
 
     loaded = rig_with([])
     line = line_over(rig_with, axis, *_speed(loaded, speed), effects=known.with_effects)
-    with share_progress(f"{axis.count} values of {axis.key}") as progress:
+    with share_progress(f"{number_of(axis.count, 'value')} of {axis.key}") as progress:
         found = line.branches(accuracy, progress)
     if plot is not None:
         from analysis.figures.branches import draw_branches

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json
@@ -45,7 +46,7 @@ def recover(
             }
         )
         return 1 if nothing else 0
-    notify(f"{found.messages} messages over {found.seconds:.3f} s kept in {found.path}")
+    notify(f"{number_of(found.messages, 'message')} over {found.seconds:.3f} s kept in {found.path}")
     for place in found.missing:
         show(f"missing    {place}")
     if not found.missing:

@@ -20,6 +20,7 @@ from daq.replay.calibration import Calibration
 from daq.replay.compare import ChannelCheck
 from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.pace import paced
+from rig_basics.texts import number_of
 from rig_cli.console import STDERR, notify, print_json, show
 from rig_cli.numbers import SecondsOrNone
 from rig_cli.option_groups import OUTPUT
@@ -208,14 +209,14 @@ def _moved_lines(made: DecodedLog) -> list[str]:
     lines: list[str] = []
     for row in made.moved:
         if row.live != row.again:
-            lines.append(f"{row.topic:10} {row.again} samples, the origin has {row.live}")
+            lines.append(f"{row.topic:10} {number_of(row.again, 'sample')}, the origin has {row.live}")
         for name, apart in row.fields.items():
             lines.append(
                 f"{row.topic:10} {name:16} {apart.samples} of {row.compared} moved, "
                 f"at most {apart.largest:.4g}, rms {apart.rms:.4g}"
             )
         if row.live == row.again and not row.fields:
-            lines.append(f"{row.topic:10} {row.again} samples, all as they were")
+            lines.append(f"{row.topic:10} {number_of(row.again, 'sample')}, all as they were")
     return lines + [f"missing in the origin: {text}" for text in made.missing]
 
 
@@ -284,7 +285,7 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
         )
     else:
         notify(
-            f"{path}: {sum(state.delivered.values())} bytes played, {span}, ended by {ended}, at most "
+            f"{path}: {number_of(sum(state.delivered.values()), 'byte')} played, {span}, ended by {ended}, at most "
             f"{state.most_late_s * 1e3:.0f} ms late"
         )
     left_early = state.cut_short or any(state.undelivered.values())
@@ -352,12 +353,12 @@ def _lost_lines(state: PlaybackState) -> list[str]:
     undelivered: Mapping[str, int] = {} if state.stopped else state.undelivered
     return [
         *(
-            f"{device}: {count} bytes were not played: no program read them"
+            f"{device}: {number_of(count, 'byte was', 'bytes were')} not played: no program read them"
             for device, count in undelivered.items()
             if count
         ),
         *(
-            f"{device}: {count} commands had no effect: a log plays the recorded answers"
+            f"{device}: {number_of(count, 'command')} had no effect: a log plays the recorded answers"
             for device, count in state.unfollowed.items()
             if count
         ),

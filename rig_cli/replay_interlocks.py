@@ -10,6 +10,7 @@ from typing import Any
 from daq.acquisition.interlock_table import INTERLOCKS, Interlock
 from daq.log import open_log
 from daq.replay.interlocked import InterlockReplay, WouldTrip, replay_interlocks
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show
 from rig_cli.options import what_if_words
 from rig_cli.share_progress import share_progress
@@ -102,7 +103,7 @@ def _state(row: Interlock, found: InterlockReplay) -> str:
     times = [_s(trip.time_ns, found.start_ns) for trip in found.trips if trip.interlock == row.name]
     if not times:
         return "quiet"
-    return f"trips at {times[0]:.3f} s" + (f", {len(times)} times" if len(times) > 1 else "")
+    return f"trips at {times[0]:.3f} s" + (f", {number_of(len(times), 'time')}" if len(times) > 1 else "")
 
 
 def _trip_lines(trip: WouldTrip, start_ns: int) -> Iterable[str]:
@@ -128,7 +129,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
     for row in rows:
         yield _GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
     if left_out := _HEAD[len(widths) :]:
-        yield f"left out on a terminal of {room} columns: {', '.join(left_out)}. --json has them"
+        yield f"left out on a terminal of {number_of(room, 'column')}: {', '.join(left_out)}. --json has them"
 
 
 def _s(time_ns: int, start_ns: int) -> float:

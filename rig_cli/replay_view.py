@@ -13,6 +13,7 @@ from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.losses import Losses
 from daq.replay.pace import Paced
+from rig_basics.texts import number_of
 from rig_cli.console import LiveTable, notify
 
 _REFRESH_S = 0.125
@@ -24,7 +25,7 @@ _LAST: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "pendulums": lambda last: (
         f"θ3 {math.degrees(last['theta3_rad']):8.2f}°  θ4 {math.degrees(last['theta4_rad']):8.2f}°"
     ),
-    "tacho": lambda last: f"{last['revolutions']} revolutions",
+    "tacho": lambda last: number_of(last["revolutions"], "revolution"),
     "motor": lambda last: f"{last['speed_rpm']:.0f} rpm, target {last['target_rpm']:.0f} rpm",
 }
 

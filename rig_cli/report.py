@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show, status_line
 from rig_cli.last_sentence import validation_sentence
 from rig_cli.log_places import logs_of
@@ -58,7 +59,7 @@ def report(
     earlier = None if since is None else (since.name, IdentifiedParameters.load(since))
     given = None if parameters is None else IdentifiedParameters.load(parameters)
     use = RigUse("rig report") if given is None else RigUse.relying_on_estimates("rig report", given)
-    with status_line(f"reading {len(logs.logs)} logs") as notify_status:
+    with status_line(f"reading {number_of(len(logs.logs), 'log')}") as notify_status:
         # a verdict without a log of its folder would not show what is missing: a log that cannot be read is refused
         runs = sorted(load_runs(logs.logs), key=lambda run: run.start_s)
         loaded = rig_of_logs([run.source for run in runs], use, rig)

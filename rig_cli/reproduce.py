@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json
@@ -54,7 +55,7 @@ def reproduce(
         raise RigFileError("rig reproduce: expected items of the source, as 2.2 or 3, or --all; --list shows them")
     items = chosen(ids)
     out.mkdir(parents=True, exist_ok=True)
-    with share_progress(f"{len(items)} items of the source") as progress:
+    with share_progress(f"{number_of(len(items), 'item')} of the source") as progress:
         made = make(items, out, min(jobs or os.cpu_count() or 1, len(items)), lambda share, what: progress(share))
     book = write_book(out / "book.html", made)
     if docs is not None:

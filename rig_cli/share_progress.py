@@ -1,7 +1,14 @@
-"""Progress of work with a known completed share: rate and time left, updated in place on a terminal."""
+"""Progress of work with a known completed share: rate and time left, updated in place on a terminal.
+
+The time left is an extrapolation. It is shown only if two estimates agree within 25 %: by the mean rate m since the
+start, and by the rate r in the second half of the time since then. The first half then has the rate 2 m - r, so that
+0.8 m <= r <= 1.33 m: the halves differ by a factor of two at most. A first step that also compiles, and work that
+becomes slower and slower, give no time until the rate is steady.
+"""
 
 from __future__ import annotations
 
+import bisect
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -11,6 +18,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rig_cli import console
 
 _EVERY_S = 10.0
+_AGREEMENT = 0.25  # relative difference of two estimates of the time left
 
 
 @contextmanager
@@ -40,20 +48,17 @@ def share_progress(
     )
     began = last = time.monotonic()
     reached = 0.0
-
-    def pace(share: float, now: float) -> str:
-        return pace_words(share, now - began, count, unit, before)
+    pace = Pace(count, unit, before)
 
     def progress(share: float) -> None:
         nonlocal last, reached
         reached, now = share, time.monotonic()
+        words = pace.words(share, now - began)
         if live:
-            bar.update(task, completed=share, pace=pace(share, now))
+            bar.update(task, completed=share, pace=words)
         elif now - last > _EVERY_S:
             last = now
-            console.notify(
-                f"{text}: {100 * share:.0f} %{_after_comma(pace_words(share, now - began, count, unit, before))}"
-            )
+            console.notify(f"{text}: {100 * share:.0f} %{_after_comma(words)}")
 
     try:
         with bar:
@@ -64,17 +69,55 @@ def share_progress(
         raise
 
 
-def pace_words(share: float, elapsed_s: float, count: float | None, unit: str, before: float = 0.0) -> str:
-    """Return mean rate since the start and time left; empty before any progress.
+class Pace:
+    """Rate of some work, and the time left as soon as two estimates of it agree.
 
     Args:
-        before: share that was completed at the start.
+        count, unit: total amount of work and its unit; None: the rate is shown in percent.
+        before: share that is completed at the start.
     """
-    if not before < share <= 1 or elapsed_s <= 0:
-        return ""
-    rate = (share - before) / elapsed_s
-    words = f"{_short(100 * rate)} %/s" if count is None else f"{_short(count * rate)} {unit}/s"
-    return f"{words}, {_duration((1 - share) / rate)} left" if share < 1 else words
+
+    def __init__(self, count: float | None, unit: str, before: float = 0.0) -> None:
+        self._count, self._unit = count, unit
+        self._times_s, self._shares = [0.0], [before]
+
+    def words(self, share: float, elapsed_s: float) -> str:
+        """Return the mean rate since the start, and the time left if it is certain; empty before any progress.
+
+        Args:
+            share: completed share, 0 … 1.
+            elapsed_s: time since the start, s.
+        """
+        done = share - self._shares[0]
+        if not 0 < done <= 1 - self._shares[0] or elapsed_s <= 0:
+            return ""
+        rate = done / elapsed_s
+        recent = self._recent_rate(share, elapsed_s)
+        words = f"{_short(100 * rate)} %/s" if self._count is None else f"{_short(self._count * rate)} {self._unit}/s"
+        if share == 1 or recent is None or not abs(rate / recent - 1) <= _AGREEMENT:
+            return words
+        return f"{words}, {_duration((1 - share) / rate)} left"
+
+    def _recent_rate(self, share: float, elapsed_s: float) -> float | None:
+        """Note a share; return the rate in the second half of the time since the start, 1/s.
+
+        None at the first share, in which the halves cannot be distinguished, and without progress in the second half.
+        """
+        times, shares = self._times_s, self._shares
+        half = 0.5 * elapsed_s
+        found = None
+        if len(times) > 1:
+            after = bisect.bisect_right(times, half)
+            end = (times[after], shares[after]) if after < len(times) else (elapsed_s, share)
+            begin = times[after - 1], shares[after - 1]
+            reached = begin[1] + (end[1] - begin[1]) * (half - begin[0]) / (end[0] - begin[0])
+            found = (share - reached) / half if share > reached else None
+        if (
+            share > shares[-1] and elapsed_s - times[-1] > 0.01 * elapsed_s
+        ):  # a few hundred, however long the work takes
+            times.append(elapsed_s)
+            shares.append(share)
+        return found
 
 
 def _duration(seconds: float) -> str:

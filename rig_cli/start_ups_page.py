@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
+from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_cli.share_progress import share_progress
 from rig_configs import Rig, RigFileError
@@ -53,7 +54,7 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
     found = settled_scatter(ends.theta_rad, ends.amplitude_m[:, 0], balance_of(physics))
     locked = abs(locked_orbit(physics, speed)[0])
     if plot is not None:
-        title = f"{rig.name}: {count} start-ups from rest to {speed * TO_RPM:.0f} rpm, by the model"
+        title = f"{rig.name}: {number_of(count, 'start-up')} from rest to {speed * TO_RPM:.0f} rpm, by the model"
         save(plot, draw_start_ups(found, title, {"locked at 0° and 180°": locked}))
     left = found.amplitude_m
     moving = int((ends.drift_rad > math.radians(0.1)).sum())
@@ -75,7 +76,7 @@ def start_ups_lines(result: dict[str, Any]) -> list[str]:
     """Return the result as lines of text."""
     off, left = result["off_balance_deg"], result["amplitude_x_mm"]
     lines = [
-        f"{result['count']} start-ups from rest: places scatter by {result['scatter_deg']:.3g}°"
+        f"{number_of(result['count'], 'start-up')} from rest: places scatter by {result['scatter_deg']:.3g}°"
         + ("" if off is None else f", {off:.3g}° (rms) off the balance")
         + f"; amplitude {left['mean']:.3g} mm in the mean, {left['largest']:.3g} mm at most; locked at 0° and 180° "
         f"{result['locked_amplitude_x_mm']:.3g} mm"

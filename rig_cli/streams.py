@@ -17,6 +17,7 @@ import select
 import shutil
 import sys
 import threading
+import time
 from typing import TYPE_CHECKING, TextIO
 
 from rig_basics.errors import RigError
@@ -29,6 +30,14 @@ _FINISH_S = 5.0  # the program waits so long for a held terminal at its end
 _LEAST_WIDTH, _MOST_WIDTH = 20, 1000  # of tables and frames, characters
 _MOST_DIGITS = 9  # digits of COLUMNS that are read
 _RETRY_S = 1.0  # between two attempts on a descriptor that another program made non-blocking
+
+
+_last_output = [0.0]  # time of the last text, monotonic, s
+
+
+def last_output_s() -> float:
+    """Return when a text was last written to standard output or standard error: monotonic time, s; 0: never."""
+    return _last_output[0]
 
 
 class OutputLost(RigError, OSError):
@@ -68,6 +77,7 @@ class MessageStream(io.TextIOBase):
 
     def write(self, text: str, /) -> int:
         """Queue a text and return its length."""
+        _last_output[0] = time.monotonic()
         if self._texts.qsize() < _MOST_TEXTS:
             self._texts.put(text)
         return len(text)
@@ -94,6 +104,7 @@ class _Results(io.FileIO):
     """Standard output whose errors are `OutputLost`."""
 
     def write(self, data: ReadableBuffer, /) -> int | None:
+        _last_output[0] = time.monotonic()
         try:
             return super().write(data)
         except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
@@ -53,7 +54,7 @@ def campaigns(
     if json:
         print_json({**result, "file": str(out / "campaigns.json")})
         return 0
-    print(f"{len(found.done)} campaigns, {found.passed} with every point passed")
+    print(f"{number_of(len(found.done), 'campaign')}, {found.passed} with every point passed")
     print(f"{'':24}{'n':>6}{'in 95 %':>9}{'(95 % sure)':>14}{'mean z':>8}{'sd z':>7}{'max |z|':>9}")
     for title, rows in (("parameters", found.parameter_z()), ("points", found.point_z())):
         for name, z in [*rows.items(), (f"all {title}", np.concatenate([*rows.values(), np.empty(0)]))]:
@@ -89,7 +90,7 @@ def archive(
             raise RigFileError(f"{each}: expected a folder of logs")
     found = campaigns_in(folders)
     given = None if rig is None else rig_text(rig)
-    with share_progress(f"digests of {sum(len(one.logs) for one in found)} logs") as progress:
+    with share_progress(f"digests of {number_of(sum(len(one.logs) for one in found), 'log')}") as progress:
         study = archive_study(given, settings or [], found, progress)
     rows = Reidentified.all_of(worked_out(study, _made(out) / "tiles", scheduler, "campaigns"))
     written = [_written(row, out) for row in rows]
@@ -99,7 +100,7 @@ def archive(
         print_json({**result, "file": str(out / "archive.json")})
         return 0
     for row, entry in zip(rows, written, strict=True):
-        shown = row.text if row.parameters is None else f"{entry['file']}, {len(row.warnings)} warnings"
+        shown = row.text if row.parameters is None else f"{entry['file']}, {number_of(len(row.warnings), 'warning')}"
         print(f"{row.name}: {shown}")
     notify(f"written to {out / 'archive.json'}")
     return 0

@@ -15,6 +15,7 @@ from daq.signals.run import Run
 from identification import NotIdentifiable
 from identification.tracking.replay import TrackedRun
 from identification.tracking.tracker import STATE_NAMES
+from rig_basics.texts import number_of
 from rig_cli.console import show
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 
@@ -127,7 +128,8 @@ def trackable(run: Run) -> tuple[str, ...]:
     angles = run.angle_rad.size and np.isfinite(run.angle_rad).any(axis=0).all()
     if not angles:
         raise NotIdentifiable(
-            f"{run.source}: expected angles of both pendulums, the log has {len(run.angle_time_s)} readings with "
+            f"{run.source}: expected angles of both pendulums, the log has "
+            f"{number_of(len(run.angle_time_s), 'reading')} with "
             "angles; record with encoders, or use a log of a spin-down or of a point"
         )
     kind, marks = kind_of(run.test), len(run.mark_time_s)
@@ -201,7 +203,8 @@ def print_tracking(result: Tracking) -> None:
     """Print the summary of one log."""
     facts, found = tracking_json(result), result.found
     show(
-        f"{result.run.source}: {result.run.test}, {facts['to_s'] - facts['from_s']:.1f} s, {facts['rows']} rows, "
+        f"{result.run.source}: {result.run.test}, {facts['to_s'] - facts['from_s']:.1f} s, "
+        f"{number_of(facts['rows'], 'row')}, "
         f"{result.setting} setting"
     )
     for j, (short, name) in enumerate(_NAMES.items()):

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
+from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.option_groups import OUTPUT
@@ -116,7 +117,9 @@ def _operator(control: Path | None) -> Generator[Any]:
         raise NoRigRuns(f"{error}, in another terminal: rig virtual{chosen}") from error
     except SeveralRigsRun as error:
         rows = "".join(f"\n  --control {path}   ({rig})" for path, rig in error.choices)
-        raise RigFileError(f"{len(error.choices)} virtual rigs run; choose one:{rows}") from error
+        raise RigFileError(
+            f"{number_of(len(error.choices), 'virtual rig runs', 'virtual rigs run')}; choose one:{rows}"
+        ) from error
     try:
         yield line
     except ValueError as error:

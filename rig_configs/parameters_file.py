@@ -14,6 +14,7 @@ import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
@@ -114,7 +115,9 @@ class IdentifiedParameters:
             )
         for name, shift in (*_texts(self.shared).items(), *self.by_number.items()):
             if shift.shape != (n,) or not np.all(np.isfinite(shift)):
-                raise ParametersFileError(f"{name!r}: expected {n} finite numbers, got shape {shift.shape}")
+                raise ParametersFileError(
+                    f"{name!r}: expected {number_of(n, 'finite number')}, got shape {shift.shape}"
+                )
         angle = self.axis_angle_deg
         if angle is not None and not (all(map(math.isfinite, angle)) and angle[1] >= 0):
             raise ParametersFileError(f"axis_angle: expected finite value_deg and std_deg, not negative, got {angle}")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.drivers.contract import Pipeline, SampleClock
 from daq.items import RX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 from rig_testing.bench import Items
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.sizes import size_of
@@ -39,13 +40,13 @@ def check_replay(subject: Subject) -> str:
     for pipeline, items in zip(pipelines, results, strict=True):
         difference = _difference(tape.items, items) or _losses_differ(tape.losses, pipeline.losses)
         need(not difference, f"decoded again: {difference}")
-    return f"{sum(isinstance(item, Batch) for item in tape.items)} batches"
+    return number_of(sum(isinstance(item, Batch) for item in tape.items), "batch", "batches")
 
 
 def _difference(first: Items, second: Items) -> str:
     """Return the first difference; empty if all is equal bit for bit."""
     if len(first) != len(second):
-        return f"{len(second)} batches and events, expected {len(first)}"
+        return f"{number_of(len(second), 'batch or event', 'batches and events')}, expected {len(first)}"
     for number, (a, b) in enumerate(zip(first, second, strict=True)):
         if isinstance(a, DeviceEvent) or isinstance(b, DeviceEvent):
             if a != b:
@@ -72,7 +73,13 @@ def check_split(subject: Subject) -> str:
     whole, pipeline = subject.decode(reads)
     rng = np.random.default_rng(7)
     for size in _SPLITS:
-        _same(subject, whole, pipeline, [part for read in reads for part in _cut(read, size)], f"reads of {size} bytes")
+        _same(
+            subject,
+            whole,
+            pipeline,
+            [part for read in reads for part in _cut(read, size)],
+            f"reads of {number_of(size, 'byte')}",
+        )
     for _ in range(3):
         parts = [part for read in reads for part in _cut(read, int(rng.integers(1, 40)))]
         _same(subject, whole, pipeline, parts, "reads of other lengths")
@@ -109,7 +116,7 @@ def _same(subject: Subject, whole: Items, pipeline: Pipeline, parts: Reads, how:
             continue
         need(
             len(a.time_ns) == len(b.time_ns),
-            f"{how}: {len(b.time_ns)} samples in {topic}, expected {len(a.time_ns)}",
+            f"{how}: {number_of(len(b.time_ns), 'sample')} in {topic}, expected {len(a.time_ns)}",
         )
         for name in a.columns:
             equal = np.array_equal(np.asarray(a.columns[name], float), np.asarray(b.columns[name], float), True)
@@ -126,7 +133,7 @@ def check_garbage(subject: Subject) -> str:
     tape, rng = subject.tape, np.random.default_rng(11)
     reads: list[tuple[int, bytes, int]] = []
     incoming = [i for i, read in enumerate(tape.reads) if read[0] == RX]
-    need(len(incoming) > 30, f"only {len(incoming)} reads came in, too few to put garbage between")
+    need(len(incoming) > 30, f"only {number_of(len(incoming), 'read')} came in, too few to put garbage between")
     places = set(rng.choice(incoming[len(incoming) // 10 : -len(incoming) // 3], 12, replace=False).tolist())
     for number, read in enumerate(tape.reads):
         if number in places:
@@ -198,7 +205,8 @@ def _counted(subject: Subject, reads: Reads, what: str) -> str:
         missing = sum(len(subject.rows(tape.items, topic)) - len(subject.rows(items, topic)) for topic in topics)
         need(
             missing == counted.get("samples", 0),
-            f"{what} were lost: {missing} samples of {', '.join(topics)} are missing, {counted.get('samples', 0)} were "
+            f"{what} were lost: {number_of(missing, 'sample')} of {', '.join(topics)} missing, "
+            f"{counted.get('samples', 0)} were "
             "counted, and the driver claims to count exactly",
         )
         return f"{_kinds(counted)}, exactly"
@@ -227,8 +235,12 @@ def check_end(subject: Subject) -> str:
             largest = max(largest, given)
             missing = sum(_missing(clock, whole, items, to_the_last=may_miss) for clock in subject.clocks)
             known = missing <= counted or (counted > 0 and not subject.claims("counts exactly"))
-            need(known, f"a log that ends {how}: {missing} samples are missing, {counted} counted as lost")
-    return f"{len(places)} logs cut off; {largest} samples given at an end"
+            need(
+                known,
+                f"a log that ends {how}: {number_of(missing, 'sample is', 'samples are')} missing, {counted} "
+                f"counted as lost",
+            )
+    return f"{number_of(len(places), 'log')} cut off; {number_of(largest, 'sample')} given at an end"
 
 
 def _to_the_end(subject: Subject, log: Reads) -> tuple[Items, int, int]:
@@ -265,7 +277,7 @@ def check_restart(subject: Subject) -> str:
         assert first is not None
         assert second is not None
         came, expected = len(whole.time_ns) - len(first.time_ns), len(second.time_ns)
-        need(came >= 0.8 * expected, f"{topic}: {max(0, came)} of {expected} samples came after a restart")
+        need(came >= 0.8 * expected, f"{topic}: {max(0, came)} of {number_of(expected, 'sample')} came after a restart")
         steps = np.diff(whole.time_ns)
         need(bool(np.all(steps >= 0)), f"{topic}: times step back over a restart, by {-int(steps.min()) * 1e-9:.3g} s")
         off = abs(int(whole.time_ns[-1]) - (other.reads[-1][2] + later_ns)) * 1e-9

@@ -12,6 +12,7 @@ from daq.drivers.contract import CLAIMS, DeviceLine, TurnsRotor, claims_of, exam
 from daq.drivers.simulated import FarEnd
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX
+from rig_basics.texts import number_of
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import DisplacementSensor, OtherQuantity, PendulumAngles, PendulumLocks, Roles
 from rig_testing.bench import NAME, START_NS, DriverBench, PlayedTalk
@@ -151,8 +152,8 @@ def check_streaming(subject: Subject) -> str:
         skips = np.flatnonzero(counts != 1)
         need(
             not len(skips),
-            f"channel {clock.topic}: {len(skips)} times a sample's number does not follow the one before, and no loss "
-            "was counted",
+            f"channel {clock.topic}: {number_of(len(skips), 'time')} a sample's number does not follow the one before, "
+            "and no loss was counted",
         )
     return ", ".join(seen)
 
@@ -249,7 +250,7 @@ def check_played(subject: Subject) -> str:
         need(stand_in.sending, f"played: it does not send after its opening; it expects {stand_in.expects!r}")
         data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.rest()
         came = b"".join(data for direction, data, _ in tape.reads if direction == RX)
-        need(stand_in.withheld_bytes == 0, f"played: {stand_in.withheld_bytes} bytes of the log were withheld")
-        need(len(data) >= len(came), f"played: {len(data)} bytes of {len(came)}")
+        need(stand_in.withheld_bytes == 0, f"played: {number_of(stand_in.withheld_bytes, 'byte')} of the log withheld")
+        need(len(data) >= len(came), f"played: {number_of(len(data), 'byte')} of {len(came)}")
     different = sorted(key for key in tape.identity if identity.get(key) != tape.identity[key])
     return f"its identity differs in {', '.join(different)}" if different else "with the same identity"

@@ -33,6 +33,7 @@ from daq.virtual_rig.faults import LINE_FAULTS
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 from rig_basics.units import RPM
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -346,14 +347,17 @@ def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: TrueMotion) ->
             yield f"{clock.topic}: times are {late.min() * 1e3:.1f} to {late.max() * 1e3:.1f} ms off"
         lost = round(float(at_s[-1] - at_s[0]) * (1 + own.drift) * clock.rate_Hz) + 1 - len(at_s)
         if lost != counted[name].get("samples", 0):
-            yield f"{name}: {counted[name].get('samples', 0)} samples counted as lost, {lost} were"
+            yield f"{name}: {number_of(counted[name].get('samples', 0), 'sample')} counted as lost, {lost} were"
         if counted_by_host and any(fault.device == name for fault in schedule.faults):
             continue  # behind a gap its samples have the host's time, good to some ms
         for field_name, column, tolerance in fields.get(clock.topic, ()):
             off = log[clock.topic][field_name].astype(np.float64) - np.interp(at_s, truth.time_s, truth.rows[:, column])
             off -= np.nanmedian(off) if np.isfinite(off).any() else 0.0
             if len(far := np.flatnonzero(np.abs(off) > tolerance)):  # NaN is no sample
-                yield f"{clock.topic} {field_name}: {len(far)} samples are wrong, the first by {off[far[0]]:.3g}"
+                yield (
+                    f"{clock.topic} {field_name}: {number_of(len(far), 'sample is', 'samples are')} wrong, the first "
+                    f"by {off[far[0]]:.3g}"
+                )
 
 
 def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, truth: TrueMotion) -> Iterator[str]:

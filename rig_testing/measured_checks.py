@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_configs.roles import DisplacementSensor, PendulumAngles, RotorPhase, SpeedSource
 from rig_testing.bench import NOISE_M, START_NS, Tape
@@ -77,7 +78,10 @@ def check_phase(subject: Subject) -> str:
     turned = float(subject.tape.motion[-1, 8] - subject.tape.motion[0, 8]) / (2 * math.pi)
     if whole is None:
         raise Failed(f"{role.topic}: no marks in {turned:.1f} turns")
-    need(abs(len(whole.time_ns) - turned) <= 1.5, f"{role.topic}: {len(whole.time_ns)} marks in {turned:.1f} turns")
+    need(
+        abs(len(whole.time_ns) - turned) <= 1.5,
+        f"{role.topic}: {number_of(len(whole.time_ns), 'mark')} in {turned:.1f} turns",
+    )
     steps = np.diff(np.asarray(whole.columns["revolutions"], np.int64))
     need(bool(np.all(steps == 1)), f"{role.topic}: revolutions step by {steps.tolist()}, expected 1")
     time_s = (whole.time_ns - START_NS) * 1e-9
@@ -85,7 +89,7 @@ def check_phase(subject: Subject) -> str:
     late_s = np.array([math.remainder(p - math.radians(role.index_angle_deg), 2 * math.pi) for p in phase]) / speed
     worst = float(np.max(np.abs(late_s[len(late_s) // 3 :])))
     need(worst < _LATE_S, f"{role.topic}: marks up to {worst * 1e3:.1f} ms from index_angle_deg")
-    return f"{len(whole.time_ns)} marks, {worst * 1e3:.1f} ms at most"
+    return f"{number_of(len(whole.time_ns), 'mark')}, {worst * 1e3:.1f} ms at most"
 
 
 def check_speed(subject: Subject) -> str:
@@ -109,7 +113,10 @@ def _samples(subject: Subject, topic: str, field: str) -> tuple[Array, Array]:
     time_s = (whole.time_ns - START_NS) * 1e-9
     values = np.asarray(whole.columns[field], np.float64)
     readings = np.isfinite(values)
-    need(bool(readings.mean() > 0.95), f"{topic}: {int(np.sum(~readings))} of {len(readings)} samples are not readings")
+    need(
+        bool(readings.mean() > 0.95),
+        f"{topic}: {number_of(int(np.sum(~readings)), 'sample is', 'samples are')} not readings, of {len(readings)}",
+    )
     kept = readings & (time_s > time_s[0] + _SETTLED_S)
     return time_s[kept], values[kept]
 

@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from daq.items import RX
+from rig_basics.texts import number_of
 from rig_testing.bench import Items
 from rig_testing.processes import each_answer
 from rig_testing.report import Failed, need
@@ -34,7 +35,10 @@ def check_mutations(subject: Subject) -> str:
         wrong, samples, inputs = wrong + found[0], samples + found[1], inputs + found[2]
         subject.progress(done / len(excerpts))
     damaged = len(excerpts) * _PER_EXCERPT
-    words = f"{damaged} inputs: {wrong} of {samples} samples differ from those sent, in {inputs} inputs"
+    words = (
+        f"{number_of(damaged, 'input')}: {wrong} of "
+        f"{number_of(samples, 'sample differs', 'samples differ')} from those sent, in {number_of(inputs, 'input')}"
+    )
     if subject.claims("checksum"):
         need(inputs <= _UNDETECTED_BY_CHANCE + _UNDETECTED_SHARE * count, f"{words}, but the driver claims a checksum")
     return words
@@ -65,7 +69,9 @@ def _some_wrong(subject: Subject, first: int, rng: np.random.Generator) -> tuple
             what = [data.hex() for d, data, _ in damaged if d == RX]
             raise Failed(f"{type(error).__name__}: {error}; by {what!s:.600}") from error
         seconds = time.thread_time() - began
-        need(seconds < _SLOW_S, f"an input of {sum(len(r[1]) for r in damaged)} bytes took {seconds:.0f} s")
+        need(
+            seconds < _SLOW_S, f"an input of {number_of(sum(len(r[1]) for r in damaged), 'byte')} took {seconds:.0f} s"
+        )
         if number == 0:
             size = size_of(pipeline)
             need(size < _MOST_BYTES, f"it uses {size / 1e3:.0f} kB after three damaged reads")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig_basics.texts import number_of
 from uncertainty.budget import AnyContribution, Budget, Contribution, GroupContribution, check_names
 from uncertainty.errors import BadInput
 from uncertainty.group import Input
@@ -42,10 +43,14 @@ class Budgets:
         table = np.array(self.sensitivities, dtype=np.float64)
         n, columns = len(self.names), sum(s.width for s in self.sources)
         if n == 0 or len(set(self.names)) != n or len(self.units) != n:
-            raise BadInput(f"{n} quantities (they need unique names) and {len(self.units)} units do not match")
+            raise BadInput(
+                f"{number_of(n, 'quantity', 'quantities')} (they need unique names) and {len(self.units)} units "
+                f"do not match"
+            )
         if values.shape != (n,) or table.shape != (n, columns):
             raise BadInput(
-                f"{n} quantities and {columns} columns of sources need values of shape {(n,)} and sensitivities of "
+                f"{number_of(n, 'quantity', 'quantities')} and {number_of(columns, 'column')} of sources need "
+                f"values of shape {(n,)} and sensitivities of "
                 f"shape {(n, columns)}; their shapes are {values.shape} and {table.shape}"
             )
         if not (bool(np.all(np.isfinite(values))) and bool(np.all(np.isfinite(table)))):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, ndtri, stdtrit
 
+from rig_basics.texts import number_of
 from uncertainty.errors import BadInput
 
 Interval = tuple[float, float]
@@ -133,7 +134,8 @@ def _covered(ordered: NDArray[np.float64], level: float) -> int:
     covered = math.floor(level * n + 0.5)
     if not 0 < covered < n:
         raise BadInput(
-            f"{n} values do not reach a coverage probability of {level}; more than {math.ceil(0.5 / (1 - level))} are "
+            f"{number_of(n, 'value does', 'values do')} not reach a coverage probability of {level}; more "
+            f"than {math.ceil(0.5 / (1 - level))} are "
             "needed"
         )
     return covered

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig_basics.texts import number_of
 from uncertainty.errors import BadInput
 from uncertainty.source import ErrorSource, Kind, check_standing
 
@@ -49,7 +50,8 @@ class Group:
         n = len(self.members)
         if n == 0 or len(set(self.members)) != n or len(self.units) != n or covariance.shape != (n, n):
             raise BadInput(
-                f"group {self.name!r}: {n} members (they need unique names), {len(self.units)} units and a covariance "
+                f"group {self.name!r}: {number_of(n, 'member')} (they need unique names), {len(self.units)} "
+                f"units and a covariance "
                 f"of shape {covariance.shape} do not match"
             )
         if self.distribution not in get_args(JointDistribution):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
 from uncertainty.errors import BadModel
 
 Model = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -29,13 +30,14 @@ def values_of(model: Model, errors: NDArray[np.float64], quantities: int | None 
     fits = values.ndim == 2 and len(values) == len(errors) and values.shape[1] > 0
     if not fits or quantities not in (None, values.shape[1]):
         raise BadModel(
-            f"the model returned shape {values.shape} for errors of shape {errors.shape}; ({len(errors)}, {width}) is "
-            "needed"
+            f"the model returned shape {values.shape} for errors of shape {errors.shape}; "
+            f"({len(errors)}, {width}) is needed"
         )
     bad = ~np.all(np.isfinite(values), axis=1)
     if bool(np.any(bad)):
         raise BadModel(
-            f"the model returned values that are not finite in {int(np.sum(bad))} of {len(errors)} rows, first for "
+            f"the model returned values that are not finite in {int(np.sum(bad))} of "
+            f"{number_of(len(errors), 'row')}, first for "
             f"the errors {errors[int(np.argmax(bad))].tolist()}"
         )
     return values

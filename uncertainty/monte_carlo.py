@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
 from uncertainty.budget import check_names
 from uncertainty.coverage import IntervalKind, check_level
 from uncertainty.errors import BadInput, TooManyTrials
@@ -110,7 +111,10 @@ def _trials_in_memory(quantities: int, trials: int, most_bytes: int) -> int:
     """
     room = most_bytes // (8 * quantities)
     if trials > room:
-        raise TooManyTrials(f"{most_bytes} bytes hold {room} trials of {quantities} quantities; {trials} are needed")
+        raise TooManyTrials(
+            f"{number_of(most_bytes, 'byte holds', 'bytes hold')} {number_of(room, 'trial')} of "
+            f"{number_of(quantities, 'quantity', 'quantities')}; {trials} are needed"
+        )
     return room
 
 
@@ -137,7 +141,7 @@ def _checked_trials(trials: int, level: float) -> int:
     """
     if not 0 < math.floor(level * trials + 0.5) < trials:
         raise BadInput(
-            f"{trials} trials do not reach a coverage probability of {level}; at least "
+            f"{number_of(trials, 'trial does', 'trials do')} not reach a coverage probability of {level}; at least "
             f"{math.floor(0.5 / (1.0 - level)) + 1} are needed"
         )
     return trials

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
 from uncertainty.budget import finite
 from uncertainty.coverage import Interval, end_errors, shortest_interval, symmetric_interval
 from uncertainty.errors import BadInput
@@ -114,7 +115,10 @@ def quantity_names(names: Sequence[str] | None, quantities: int) -> tuple[str, .
     """
     given = tuple(str(i) for i in range(quantities)) if names is None else tuple(names)
     if len(given) != quantities or len(set(given)) != quantities:
-        raise BadInput(f"the model has {quantities} quantities; the names are {given}; they must be as many and unique")
+        raise BadInput(
+            f"the model has {number_of(quantities, 'quantity', 'quantities')}; the names are {given}; they "
+            f"must be as many and unique"
+        )
     return given
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.errors import NotEnoughData
 from daq.signals.run import Run
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 LEAST_MARKS = 3
 
@@ -49,7 +50,7 @@ def marks_words(run: Run) -> str:
     """Describe too few index marks of a run, with the probable reason."""
     marks = len(run.mark_time_s)
     if marks:
-        return f"only {marks} index mark{'s' if marks > 1 else ''}"
+        return f"only {number_of(marks, 'index mark')}"
     if math.isfinite(run.motor_start_s):
         return "no index mark, although its motor was commanded to turn: the tachometer detected nothing"
     return "no index mark (the rotor stood, or no tachometer was recorded)"

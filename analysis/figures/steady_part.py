@@ -12,7 +12,7 @@ from analysis.figures.recorded import LEAST_MARKS, marks_words
 from analysis.steady_state import AVERAGE_S, plateau_end
 from daq.signals.run import Run
 from rig_basics.arrays import Array
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 from rig_basics.units import TO_RPM
 
 _MIN_TURNS = 4.0
@@ -64,7 +64,7 @@ def steady_part(run: Run) -> SteadyPart:
     first, last = np.interp([start, end], run.mark_time_s, run.mark_phase_rad).tolist()
     if last - first < 2 * math.pi * _MIN_TURNS:
         found, needed = distinct((last - first) / (2 * math.pi), _MIN_TURNS)
-        raise NotEnoughData(f"{run.source}: {found} revolutions at its end, at least {needed} needed")
+        raise NotEnoughData(f"{run.source}: {number_of(found, 'revolution')} at its end, at least {needed} needed")
     return SteadyPart(start, end, (last - first) / (end - start), release)
 
 

@@ -19,6 +19,7 @@ from dynamics.stability.borders import LEVELS, Borders, stability_borders
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
+from rig_basics.texts import number_of
 
 ShareProgress = Callable[[float], None]
 """Called with the completed share, 0 … 1."""
@@ -87,7 +88,7 @@ class MapAnswer:
         if self.computed is None:
             return self.grid.method
         count, total = int(np.count_nonzero(self.computed)), self.computed.size
-        return f"explicit at {count} of {total} points, at borders; interpolated between them elsewhere"
+        return f"explicit at {count} of {number_of(total, 'point')}, at borders; interpolated between them elsewhere"
 
 
 def compile_maps(question: MapQuestion) -> None:
@@ -132,7 +133,7 @@ def answer(
             borders = borders_of(question, plane, notify)
         unresolved = unresolved_share(plane, borders, question.axes)
     if (family := question.family) is not None:
-        with display(f"borders for {len(family.values)} values of {family.key}") as notify:
+        with display(f"borders for {number_of(len(family.values), 'value')} of {family.key}") as notify:
             for i, value in enumerate(family.values):
                 one = question.plane(_settings(family.keys, value))
                 found = borders_of(question, one, _part(notify, i, len(family.values)))
@@ -145,7 +146,7 @@ def answer(
 
 def _full(question: MapQuestion, plane: Plane, display: Progress) -> StabilityMap:
     count = question.x.count * question.y.count
-    with display(f"{count} points", count, "points") as notify:
+    with display(number_of(count, "point"), count, "points") as notify:
         return plane_map(plane, question.x.values, question.y.values, question.accuracy, notify)
 
 
@@ -158,7 +159,9 @@ def _refined(question: MapQuestion, plane: Plane, display: Progress) -> tuple[St
         errors[np.searchsorted(y, at_y), np.searchsorted(x, at_x)] = bounds
         return np.asarray(found, np.float64)
 
-    with display(f"{question.x.count * question.y.count} points and what lies between them at borders") as notify:
+    with display(
+        f"{number_of(question.x.count * question.y.count, 'point')} and what lies between them at borders"
+    ) as notify:
         found = refined_grid(evaluate, x, y, question.refine, _classes, progress=notify)
     counts = 0, int(np.count_nonzero(found.computed)), 0
     return StabilityMap(plane, x, y, found.values, errors, counts, question.accuracy), found.computed

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from analysis.quantities.order_tracking import OrderTrack
 from rig_basics.arrays import Array, Complex
+from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,9 @@ def order_map(
     length = a_turn * revolutions
     even = turned[0] + np.arange(int((turned[-1] - turned[0]) * a_turn)) / a_turn
     if len(even) < length:
-        raise ValueError(f"order map: expected {revolutions} whole revolutions, got {len(even) / a_turn:.3g}")
+        raise ValueError(
+            f"order map: expected {number_of(revolutions, 'whole revolution')}, got {len(even) / a_turn:.3g}"
+        )
     at = cast("Array", np.interp(even, turned, time))
     values = np.asarray(CubicSpline(time, signal)(at), np.float64)
     window = np.hanning(length + 1)[:-1]
@@ -115,5 +118,5 @@ def _by_angle(time_s: ArrayLike, values: ArrayLike, phase_rad: ArrayLike) -> tup
     highest = np.maximum.accumulate(turned) if len(turned) else turned
     rising = np.diff(highest, prepend=-np.inf) > 1e-9
     if rising.sum() < 16:
-        raise ValueError(f"order map: expected a rising phase, got {int(rising.sum())} samples with one")
+        raise ValueError(f"order map: expected a rising phase, got {number_of(int(rising.sum()), 'sample')} with one")
     return time[rising], signal[rising], turned[rising]

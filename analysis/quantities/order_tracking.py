@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.quantities.envelopes import Envelopes, fit_envelopes
 from rig_basics.arrays import Array, Complex, Indices
+from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ def _in_windows(
     span = 2 * np.pi * revolutions
     count = int((psi[-1] - psi[0]) / span + 1e-9) if len(psi) else 0
     if count < 1:
-        raise ValueError(f"order tracking needs {revolutions} whole revolutions, got less")
+        raise ValueError(f"order tracking needs {number_of(revolutions, 'whole revolution')}, got less")
     edges = cast("Indices", np.searchsorted(psi, psi[-1] - span * np.arange(count, -1, -1)))
     edges[-1] = len(psi)
     windows = [

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,15 @@ def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *,
     way = np.abs(psi - psi[0]) if len(psi) else psi
     count = int(way[-1] / (2 * np.pi * revolutions)) if len(way) else 0
     if count < 1:
-        raise ValueError(f"slip: expected {revolutions} whole turns, got {way[-1] / 2 / np.pi if len(way) else 0:.3g}")
+        raise ValueError(
+            f"slip: expected {number_of(revolutions, 'whole turn')}, got {way[-1] / 2 / np.pi if len(way) else 0:.3g}"
+        )
     edges = np.searchsorted(way, 2 * np.pi * revolutions * np.arange(count + 1))
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= _MIN_READINGS]
     if not parts:
-        raise ValueError(f"slip: expected {_MIN_READINGS} readings in {revolutions} turns, got fewer in every row")
+        raise ValueError(
+            f"slip: expected {_MIN_READINGS} readings in {number_of(revolutions, 'turn')}, got fewer in every row"
+        )
     rows = [_row(psi[part], angle[part]) for part in parts]
     middle = np.array([time[part].mean() for part in parts])
     speed = np.array([(psi[p][-1] - psi[p][0]) / (time[p][-1] - time[p][0]) for p in parts])

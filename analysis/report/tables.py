@@ -15,6 +15,7 @@ from analysis.report.campaign import Campaign, ParameterChange
 from analysis.results import PointResult
 from analysis.rounding import plain, signed, with_std
 from analysis.scores import Z_LIMIT, Score
+from daq.items import loss_words
 from daq.signals.run import Run
 from rig_basics.units import RPM
 from rig_configs import PARAMETER_SYMBOLS, PARAMETER_UNITS
@@ -70,7 +71,7 @@ def lost_words(campaign: Campaign) -> list[str]:
         for stream, lost in row.items():
             total[stream] = total.get(stream, 0) + lost
     named = sorted(((lost, stream) for stream, lost in total.items() if lost), reverse=True)
-    return [f"{lost} {stream.replace('.', ' ').replace('_', ' ')}" for lost, stream in named]
+    return [loss_words(lost, stream) for lost, stream in named]
 
 
 def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:

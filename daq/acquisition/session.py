@@ -29,10 +29,11 @@ from daq.drivers.checks import Checks
 from daq.drivers.contract import DescribesItself, MeasuresRoundTrip, SpeedControl, StatesClockError
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError, DeviceError, LinkLost, OperatorStop
-from daq.items import RX, TX, DeviceEvent
+from daq.items import RX, TX, DeviceEvent, loss_words
 from daq.log.file import ReservedName
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
+from rig_basics.texts import number_of
 from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
@@ -272,8 +273,8 @@ class Session:
     def _received(self, name: str) -> str:
         """Describe what a device without samples has sent."""
         bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
-        lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in losses.items() if n)
-        received = f"{bytes_in} bytes received, none of them a sample" if bytes_in else "silent"
+        lost = ", ".join(loss_words(n, kind) for kind, n in losses.items() if n)
+        received = f"{number_of(bytes_in, 'byte')} received, none of them a sample" if bytes_in else "silent"
         why = self.identification_of(name)[1] or "Look at its power, its settings and the rig file"
         return f"{name}: {received}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
 

@@ -15,6 +15,7 @@ from daq.calibration.line import GaugeLine, GaugeReading, fit_line
 from daq.errors import ProcedureError
 from daq.items import DeviceEvent
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_configs.device import DisplacementSettings
 
 _PARTS = 10  # of a reading; the spread of their means is its uncertainty, also with correlated noise
@@ -129,7 +130,7 @@ def _why_not(x: Array, expected: float) -> str:
     """Return why samples are not a reading; empty if they are one."""
     valid = x[~np.isnan(x)]
     if len(x) < 0.5 * expected or len(x) < 2 * _PARTS:
-        return f"{len(x)} samples, expected {expected:.0f}"
+        return f"{number_of(len(x), 'sample')}, expected {expected:.0f}"
     if len(valid) < (1 - _MAX_INVALID_SHARE) * len(x):
         return f"the sensor detects no target in {100 * (1 - len(valid) / len(x)):.0f} % of the samples"
     half = len(valid) // 2

@@ -13,6 +13,7 @@ from daq.channels import RX
 from daq.clock import NEWEST_RULES
 from daq.items import DeviceEvent
 from daq.transports import slcan
+from rig_basics.texts import number_of
 
 ADAPTER_BAUD = 115_200
 """Line rate of an adapter's serial port, baud; an adapter with USB ignores it."""
@@ -68,7 +69,7 @@ class CanLines:
             events += self._answered(found)
         if found.damaged:
             self._losses["damaged_lines"] += found.damaged
-            text = f"{found.damaged} damaged lines dropped"
+            text = f"{number_of(found.damaged, 'damaged line')} dropped"
             events.append(DeviceEvent("damage", self._device, text, {"lines": found.damaged}))
         return found.frames, events
 
@@ -96,7 +97,10 @@ class CanLines:
         if not refused:
             return []
         self._losses["refused_lines"] += refused
-        text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
+        text = (
+            f"the adapter refused {number_of(refused, 'line')}: these frames did not go out. Look at the bus "
+            f"and its termination"
+        )
         return [DeviceEvent("refused", self._device, text, {"lines": refused})]
 
 

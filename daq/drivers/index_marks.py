@@ -12,6 +12,7 @@ import math
 from collections import deque
 
 from daq.items import DeviceEvent
+from rig_basics.texts import number_of
 
 MARK_RULES = 10
 """Rules of a log (`daq.clock.clock_rules`) since which marks are examined."""
@@ -103,7 +104,8 @@ class MarkSequence:
         facts = {"doubled_marks": self._bounces, "span_s": self._bounce_ns * 1e-9, "time_ns": time_ns}
         self._bounces, self._bounce_ns, self._reported_ns = 0, 0, time_ns
         text = (
-            f"{facts['doubled_marks']} index marks came twice, the second one within {facts['span_s'] * 1e3:.1f} ms: "
+            f"{number_of(facts['doubled_marks'], 'index mark')} came twice, the second one within "
+            f"{facts['span_s'] * 1e3:.1f} ms: "
             "dropped, and not counted as turns. Look at the index sensor: its contact or its distance"
         )
         return [DeviceEvent("marks", self._device, text, facts)]
@@ -119,7 +121,7 @@ class MarkSequence:
         self._losses["turns"] = self._losses.get("turns", 0) + lost
         span_s = between * 1e-9
         text = (
-            f"{lost} turns not counted: {span_s * 1e3:.0f} ms from mark to mark, between turns of "
+            f"{number_of(lost, 'turn')} not counted: {span_s * 1e3:.0f} ms from mark to mark, between turns of "
             f"{before * 1e-6:.0f} and {after * 1e-6:.0f} ms. Look at the index sensor: its distance and its supply"
         )
         return [DeviceEvent("marks", self._device, text, {"turns": lost, "span_s": span_s, "time_ns": at_ns})]

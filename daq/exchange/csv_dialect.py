@@ -13,6 +13,7 @@ from pathlib import Path
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
+from rig_basics.texts import number_of
 
 _SAMPLE_LINES = 400
 _FEWEST_SAMPLE_LINES = 8  # names, units, and numbers in the second half
@@ -179,7 +180,9 @@ def sniff(path: Path, decimal: str | None = None) -> Dialect:
         if share > 0 and (best is None or score > best[0]):
             best = score, dialect
     if best is None:
-        raise ExchangeError(f"{path}: expected columns of numbers, found none in the first {len(lines)} lines")
+        raise ExchangeError(
+            f"{path}: expected columns of numbers, found none in the first {number_of(len(lines), 'line')}"
+        )
     dialect = _with_names(best[1], lines)
     is_doubtful = dialect.names == ("1", "2") and dialect.delimiter == "," and not dialect.stated
     if is_doubtful and _could_be_decimal(dialect, lines):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from daq.exchange.columns import Column
 from daq.exchange.csv_dialect import LONGEST_LINE, DecimalEvidence, Dialect, is_comment, need_end, sniff
 from daq.exchange.errors import ExchangeError
+from rig_basics.texts import number_of
 
 _BLOCK_ROWS = 50_000
 _LONGEST_SHOWN = 40
@@ -80,7 +81,8 @@ class CsvRecording:
                 cells = self._cells(dialect, line, number)
                 if len(cells) != width:
                     raise ExchangeError(
-                        f"{self.path}: line {number}: expected {width} columns as in line {dialect.first_line}, "
+                        f"{self.path}: line {number}: expected {number_of(width, 'column')} as in line "
+                        f"{dialect.first_line}, "
                         f"got {len(cells)}; is the file cut there?"
                     )
                 numbers.append(number)

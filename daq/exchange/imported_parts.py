@@ -18,6 +18,7 @@ from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions
 from daq.guided_test_kinds import CHANNELS
 from daq.items import DeviceEvent
 from daq.log.time_span import LATEST_NS
+from rig_basics.texts import number_of
 
 _SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
 _MIN_RELEASE_STD_S = 1e-4
@@ -103,7 +104,9 @@ def gap_events(parts: list[Part], noticed: ImportFindings) -> list[DeviceEvent]:
         for gap in gaps:
             facts = {"samples": gap.samples, "span_s": gap.span_s, "time_ns": gap.after_ns}
             found.append(
-                DeviceEvent("gap", device, f"{gap.samples} samples missing ({gap.span_s * 1e3:.2f} ms)", facts)
+                DeviceEvent(
+                    "gap", device, f"{number_of(gap.samples, 'sample')} missing ({gap.span_s * 1e3:.2f} ms)", facts
+                )
             )
         noticed.gaps[device] = sum(gap.samples for gap in gaps)
     return found

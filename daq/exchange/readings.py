@@ -14,6 +14,7 @@ from daq.exchange.columns import Column
 from daq.exchange.errors import ExchangeError
 from daq.exchange.units import UNITS, ColumnChoice, Quantity
 from daq.log.time_span import LATEST_NS
+from rig_basics.texts import number_of
 
 LEAST_ROWS = 20
 _SINCE_1970_S = 1e8  # three years: larger times do not count from the recording's own start
@@ -77,7 +78,7 @@ def times_ns(column: Column, choice: ColumnChoice, field: str) -> NDArray[np.int
     if len(bad):
         raise ExchangeError(
             f"{field} {column.name}: {column.place(int(bad[0]))}: expected a time, got none; "
-            f"{len(bad)} of {len(column.values)} rows have no time"
+            f"{len(bad)} of {number_of(len(column.values), 'row')} without a time"
         )
     largest = float(np.max(np.abs(column.values.astype(np.float64)), initial=0.0))
     if largest * factor > LATEST_NS:
@@ -106,7 +107,7 @@ def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice,
     what = "the same time again" if time[row] == time[row - 1] else "an earlier time"
     raise ExchangeError(
         f"{field} {column.name}: {column.place(row)}: expected a time after {before} {choice.unit}, got {what} "
-        f"({now}); {len(wrong)} of {len(time)} rows are not later than the row before them. Sort the rows, remove "
+        f"({now}); {number_of(len(wrong), 'row')} of {len(time)} not later than the row before. Sort the rows, remove "
         "repeated ones, or give the rate instead of the column of times"
     )
 

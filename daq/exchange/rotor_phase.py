@@ -11,6 +11,7 @@ from scipy import integrate
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import SensorReadings, unwrapped
+from rig_basics.texts import number_of
 
 _MAX_STEP_TURNS = 0.4  # turns between two rows: with larger steps whole turns may be missed
 _TWO_MARKS = 1.5  # ratio to the neighbouring intervals above which an interval contains several revolutions
@@ -67,5 +68,5 @@ def revolutions_of_marks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.uint32]
         if interval[i] > _TWO_MARKS * around:
             turns[i] = round(interval[i] / around)
     missed = int(turns.sum()) - len(turns)
-    warnings = [f"marks: {missed} of {missed + len(time_ns)} marks are missing and were counted"] if missed else []
+    warnings = [f"marks: {missed} of {number_of(missed + len(time_ns), 'mark')} missing and counted"] if missed else []
     return np.r_[0, np.cumsum(turns)].astype(np.uint32), warnings

@@ -15,6 +15,7 @@ from daq.exchange.recipe import QUANTITIES, Recipe
 from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice, settle_unit
 from daq.log.time_span import LATEST_NS
+from rig_basics.texts import number_of
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -85,7 +86,8 @@ def _row_times(recipe: Recipe, column: Column, field: str) -> NDArray[np.int64]:
         raise ExchangeError(f"{field}: expected a column of times or a rate in addition, got neither")
     if len(column.values) * 1e9 >= recipe.rate_Hz * LATEST_NS:
         raise ExchangeError(
-            f"rate {recipe.rate_Hz:g}: expected samples per second; {len(column.values)} rows would take more than 146 "
+            f"rate {recipe.rate_Hz:g}: expected samples per second; {number_of(len(column.values), 'row')} "
+            f"would take more than 146 "
             "years"
         )
     return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
@@ -97,7 +99,9 @@ def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None, warnings
         assert path is not None
         recording = open_recording(path, recipe.decimal)
         if len(recording.names) != 1:
-            raise ExchangeError(f"{path}: expected a file of one column of times, got {len(recording.names)} columns")
+            raise ExchangeError(
+                f"{path}: expected a file of one column of times, got {number_of(len(recording.names), 'column')}"
+            )
         choice = settle_unit(choice, recording.units.get(recording.names[0]), "time", "marks")
         column = recording.read([recording.names[0]])[recording.names[0]]
         warnings += recording.remarks

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.scan import BROKEN, MESSAGE_HEAD_BYTES, OTHER_COUNT, OTHER_LAYOUT, collect, locate
+from rig_basics.texts import number_of
 
 _RECORD_HEAD_BYTES = 9
 
@@ -48,7 +49,7 @@ def find_messages(data: NDArray[np.uint8], channel_ids: NDArray[np.int64], count
     """
     found = Messages(data, np.empty((count, 3), np.int64), np.empty(count, np.int64), np.empty(count, np.int64))
     if locate(data, channel_ids, found.places, found.log_ns, found.publish_ns) < 0:
-        raise IndexWrongError(f"a chunk without the {count} messages that the index lists")
+        raise IndexWrongError(f"a chunk without the {number_of(count, 'message')} that the index lists")
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from daq.channels import EVENTS_TOPIC
 from daq.errors import LogError
-from daq.items import LOSS_KINDS
+from daq.items import LOSS_KINDS, SILENT_MS, loss_words
 from daq.log import Log
 
 _SENSORS_OWN = ("invalid",)  # the reading arrived, but the sensor marked it as invalid
@@ -20,7 +20,6 @@ _COUNTED = (
     *("doubled_marks", "turns", "clock_steps"),
 )
 _CARRIERS = ("frames", "lines", "bytes", "damaged")  # endings of kinds: samples are transmitted in them
-_SILENT_MS = "_silent_ms"  # suffix of the duration of a channel's silence
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Losses:
     def words(self) -> str:
         """Return the losses in one line, without zero counts."""
         found = [
-            f"{device} {_counted_words(n, kind)}{_carriers_words(kinds) if kind == 'samples' else ''}"
+            f"{device} {loss_words(n, kind)}{_carriers_words(kinds) if kind == 'samples' else ''}"
             for device, kinds in self.by_device.items()
             for kind, n in kinds.items()
             if n and not (_carries_samples(kind) and kinds.get("samples"))
@@ -71,15 +70,8 @@ def _carries_samples(kind: str) -> bool:
     return kind.endswith(_CARRIERS)
 
 
-def _counted_words(number: int, kind: str) -> str:
-    """Return for example "1 radio frame", "2 radio frames", "3 damaged"."""
-    words = kind.replace("_", " ")
-    plural = words.endswith("s") and not kind.endswith(_SILENT_MS)
-    return f"{number} {words[:-1] if plural and number == 1 else words}"
-
-
 def _carriers_words(kinds: Mapping[str, int]) -> str:
-    found = [_counted_words(n, kind) for kind, n in kinds.items() if n and _carries_samples(kind)]
+    found = [loss_words(n, kind) for kind, n in kinds.items() if n and _carries_samples(kind)]
     return f" (with {', '.join(found)})" if found else ""
 
 
@@ -128,6 +120,6 @@ def _from_events(events: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
             for kind in _COUNTED:
                 counts[str(event.get("device", ""))][kind] += int(event.get(kind, 0))
         elif event.get("kind") == "silence":  # the host's own event, of a device's channel
-            for kind in (name for name in event if name.endswith(_SILENT_MS)):
+            for kind in (name for name in event if name.endswith(SILENT_MS)):
                 counts[str(event.get("of", ""))][kind] += int(event[kind])
     return {device: {kind: n for kind, n in kinds.items() if n} for device, kinds in counts.items()}

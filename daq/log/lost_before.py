@@ -11,6 +11,7 @@ from functools import lru_cache
 import pydantic
 
 from daq.mcap.missing import Missing
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -49,7 +50,7 @@ def _shortened(places: list[Missing]) -> list[Missing]:
     starts, ends = [place.start_ns for place in rest], [place.end_ns for place in rest]
     counts = [place.messages for place in rest]
     together = Missing(
-        f"{len(rest)} more places",
+        number_of(len(rest), "more place"),
         start_ns=None if None in starts else min(start for start in starts if start is not None),
         end_ns=None if None in ends else max(end for end in ends if end is not None),
         topics=tuple(sorted({topic for place in rest for topic in place.topics})),

@@ -31,6 +31,7 @@ from daq.mcap.records import DamageError, read_attachment
 from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
 from daq.version import software_version
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -222,7 +223,10 @@ def _growth(source: LogSource) -> list[Missing]:
     grown = os.stat(source.file.path).st_size - source.file.size
     if grown <= 0:
         return []
-    text = f"the file was still being written: it grew by {grown} bytes meanwhile, which are not in the recovered log"
+    text = (
+        f"the file was still being written: it grew by {number_of(grown, 'byte')} meanwhile, which the recovered log "
+        f"does not contain"
+    )
     return [Missing(text, source.file.size, source.file.size + grown)]
 
 

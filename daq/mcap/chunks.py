@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from daq.mcap.checksum import crc32
 from daq.mcap.records import RECORD_HEAD, DamageError
+from rig_basics.texts import number_of
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
 """Largest chunk that is unpacked; a head with a larger size is treated as damage."""
@@ -77,7 +78,9 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
         DamageError: unknown compression, a size other than announced, or a wrong or missing CRC.
     """
     if head.unpacked > CHUNK_LIMIT_BYTES:
-        raise DamageError(f"a chunk of {head.unpacked} bytes, more than the {CHUNK_LIMIT_BYTES} that are unpacked")
+        raise DamageError(
+            f"a chunk of {number_of(head.unpacked, 'byte')}, more than the {CHUNK_LIMIT_BYTES} that are unpacked"
+        )
     if head.kind == NOT_PACKED:
         data = packed
     elif head.kind == ZSTD:
@@ -85,7 +88,7 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
     else:
         raise DamageError(f"a chunk compressed with {head.compression[:20]!r}, not zstd: convert the file with 'mcap'")
     if len(data) != head.unpacked:
-        raise DamageError(f"a chunk of {len(data)} bytes instead of {head.unpacked}")
+        raise DamageError(f"a chunk of {number_of(len(data), 'byte')} instead of {head.unpacked}")
     if (head.crc or needs_crc) and crc32(data) != head.crc:
         raise DamageError("a chunk whose CRC is wrong")
     return data
@@ -95,7 +98,7 @@ def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
     try:
         announced = zstandard.frame_content_size(packed)  # -1 if the frame does not contain it
         if announced not in (-1, unpacked):
-            raise DamageError(f"a chunk of {unpacked} bytes whose zstd frame announces {announced}")
+            raise DamageError(f"a chunk of {number_of(unpacked, 'byte')} whose zstd frame announces {announced}")
         if not hasattr(_per_thread, "decompressor"):
             _per_thread.decompressor = zstandard.ZstdDecompressor()
         return _per_thread.decompressor.decompress(packed, max_output_size=max(unpacked, 1), allow_extra_data=False)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from daq.errors import LogError
 from daq.mcap.checksum import crc32
+from rig_basics.texts import number_of
 from rig_configs.regular_file import need_regular
 
 PIECE_BYTES = 2**20
@@ -53,19 +54,20 @@ class FileBytes:
         if self.closed:
             raise LogError(f"{self.path}: expected an open log, it was closed: read what you need before close()")
         if start < 0 or length < 0 or start + length > self.size:
-            raise LogError(f"expected {length} bytes at byte {start}, the file has {self.size}")
+            raise LogError(f"expected {number_of(length, 'byte')} at byte {start}, the file has {self.size}")
         try:
             data = self._at(start, length)
             while len(data) < length:
                 more = self._at(start + len(data), length - len(data))
                 if not more:
                     raise LogError(
-                        f"expected {length} bytes at byte {start}, got {len(data)}: the file was cut meanwhile"
+                        f"expected {number_of(length, 'byte')} at byte {start}, got {len(data)}: the file was cut "
+                        f"meanwhile"
                     )
                 data += more
         except OSError as fault:
             raise LogError(
-                f"expected {length} bytes at byte {start}, the disk cannot read them ({fault.strerror})"
+                f"expected {number_of(length, 'byte')} at byte {start}, the disk cannot read them ({fault.strerror})"
             ) from fault
         return data
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from rig_basics.texts import number_of
+
 
 @dataclass(frozen=True)
 class Missing:
@@ -33,7 +35,7 @@ class Missing:
             place = f"bytes {self.byte_start} … {self.byte_end}: "
         parts: list[str] = []
         if self.messages is not None:
-            parts.append("no message is lost" if self.messages == 0 else f"{self.messages} messages")
+            parts.append("no message is lost" if self.messages == 0 else number_of(self.messages, "message"))
         if self.topics:
             parts.append(f"of {', '.join(self.topics)}")
         if self.start_ns is not None:

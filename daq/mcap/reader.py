@@ -22,8 +22,10 @@ from daq.mcap.records import DamageError, Header, check_attachment, read_header
 from daq.mcap.summary_reader import FileSummary, read_summary
 from daq.mcap.walk import Walk
 from daq.mcap.writer import TIMES
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
+_PLURALS = {"series of messages": "series of messages", "summary": "summaries"}
 
 _SHORT_HEAD_BYTES = 64  # contains the head of any chunk that can be unpacked
 
@@ -113,11 +115,14 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
     )
     contents.missing = _missing(done, summary, contents)
     if done.table.beyond:
-        text = f"{done.table.beyond} messages with times of 2^63 ns or more, after the year 2262: their times are wrong"
+        text = (
+            f"{number_of(done.table.beyond, 'message')} with times of 2^63 ns or more, after the year 2262: "
+            f"their times are wrong"
+        )
         contents.missing.append(Missing(text, messages=0))
+    without_crc = (number_of(count, what, _PLURALS.get(what, "")) for what, count in done.no_crc.items())
     contents.unchecked = [
-        Missing(f"{count} {what} without a CRC: damage in them cannot be detected", messages=0)
-        for what, count in done.no_crc.items()
+        Missing(f"{counted} without a CRC: damage in them cannot be detected", messages=0) for counted in without_crc
     ]
     return contents
 
@@ -188,7 +193,7 @@ def _missing(done: Walk, summary: FileSummary | None, contents: Contents) -> lis
         if lost > 0 and len(unknown) == 1:
             missing[unknown[0]] = replace(missing[unknown[0]], messages=lost)
         elif lost > 0:
-            missing.append(Missing(f"the statistics count {done.announced} messages", messages=lost))
+            missing.append(Missing(f"the statistics count {number_of(done.announced, 'message')}", messages=lost))
     for channel in sorted(set(contents.counts) - set(contents.definitions.channels)):
         text = f"the name of channel {channel}, so all its messages"
         topics = topics_of({channel: 0}, contents.definitions)

@@ -22,6 +22,7 @@ from daq.errors import LogError
 from daq.mcap.checksum import crc32
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
+from rig_basics.texts import number_of
 
 RECORD_HEAD = struct.Struct("<BQ")
 _TEXT_LIMIT_BYTES = 64 * 2**20
@@ -77,7 +78,7 @@ def read_record(file: FileBytes, position: int, limit: int) -> tuple[int, bytes]
     try:
         opcode, length = RECORD_HEAD.unpack(file.read(position, RECORD_HEAD.size))
         if length > limit:
-            raise DamageError(f"a record of kind {opcode:#04x} that announces {length} bytes")
+            raise DamageError(f"a record of kind {opcode:#04x} that announces {number_of(length, 'byte')}")
         return opcode, file.read(position + RECORD_HEAD.size, length)
     except LogError as fault:
         raise DamageError(str(fault)) from fault

@@ -33,6 +33,7 @@ from daq.mcap.scan import loose_messages
 from daq.mcap.table import TableBuilder, TakenChunk
 from daq.mcap.window import Window, indexes_behind
 from daq.mcap.writer import MAGIC, METADATA_CRC
+from rig_basics.texts import number_of
 
 _NOTHING = np.empty(0, np.uint8)
 _METADATA_LIMIT_BYTES = 64 * 2**20
@@ -181,7 +182,7 @@ class Walk:
             self._metadata(position, end)
         elif opcode == Opcode.ATTACHMENT:
             self.attachments.append(check_attachment(self.file, position, self.header.ours))
-            self._count_without_crc("attachments", int.from_bytes(self.window.view(end - 4, end), "little"))
+            self._count_without_crc("attachment", int.from_bytes(self.window.view(end - 4, end), "little"))
         elif opcode == Opcode.DATA_END:
             self._data_end(position, end)
         elif opcode == Opcode.FOOTER:
@@ -245,7 +246,7 @@ class Walk:
         elif chunk.counts and self.header.ours and chunk.times[:2] != [head.start_ns, head.end_ns]:
             text = "a chunk whose head has other times than its messages; those of the messages are used"
             self.damage.note(position, end, text, len(self.table)).held = []
-        self._count_without_crc("chunks", head.crc)
+        self._count_without_crc("chunk", head.crc)
         self.last_data, self.last_counts, self.last_start = chunk.data, chunk.counts, position
         self.unnamed.add(position)
         return end
@@ -257,7 +258,9 @@ class Walk:
             DamageError: the chunk is damaged.
         """
         if head.packed > CHUNK_LIMIT_BYTES + PIECE_BYTES:
-            raise DamageError(f"a chunk of {head.packed} packed bytes, more than the {CHUNK_LIMIT_BYTES} that are read")
+            raise DamageError(
+                f"a chunk of {number_of(head.packed, 'packed byte')}, more than the {CHUNK_LIMIT_BYTES} that are read"
+            )
         packed = self.window.view(position, end)[head.data_at :]
         return self.table.count(np.frombuffer(unpack(packed, head, self.header.ours), np.uint8))
 
@@ -290,11 +293,11 @@ class Walk:
 
     def _metadata(self, position: int, end: int) -> None:
         if end - position > _METADATA_LIMIT_BYTES:
-            raise DamageError(f"metadata of {end - position} bytes")
+            raise DamageError(f"metadata of {number_of(end - position, 'byte')}")
         body = bytes(self.window.view(position + RECORD_HEAD.size, end))
         name, texts = check_metadata(body, self.header.ours)
         self.metadata[name] = texts
-        self._count_without_crc("metadata records", 1 if METADATA_CRC in body.decode("latin-1") else 0)
+        self._count_without_crc("metadata record", 1 if METADATA_CRC in body.decode("latin-1") else 0)
 
     def _count_without_crc(self, what: str, crc: int) -> None:
         if not crc:
@@ -304,7 +307,7 @@ class Walk:
         if end - position != RECORD_HEAD.size + 4:
             raise DamageError("an end of the data of the wrong length")
         crc = int.from_bytes(self.window.view(end - 4, end), "little")
-        self._count_without_crc("data sections", crc)
+        self._count_without_crc("data section", crc)
         if crc and crc == self.crc and not self.data_ended:  # the right CRC shows that duplicates were written
             written = self.table.keep_all()
             self.damage.places = [place for place in self.damage.places if place.start not in written]
@@ -321,7 +324,7 @@ class Walk:
             raise DamageError(f"no {MAGIC!r} after the footer")
         self.finished = True
         summary_start, _, crc = struct.unpack("<QQI", self.window.view(position + RECORD_HEAD.size, end))
-        self._count_without_crc("summaries", crc)
+        self._count_without_crc("summary", crc)
         try:  # an intact summary may have moved: the file may have become longer before it
             right = crc == 0 or self.file.crc(self.summary_start, end - 4) == crc
         except LogError:  # usual: noted as a damaged summary below

@@ -16,6 +16,7 @@ from daq.mcap.chunks import HEAD_BYTES, parse_head
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
 from daq.mcap.scan import message_indexes
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -57,7 +58,9 @@ class Window:
                 except LogError as fault:
                     raise DamageError(str(fault)) from fault
             if end - start > length:
-                raise DamageError(f"the file ends inside a record: {end - start} bytes announced, {length} left")
+                raise DamageError(
+                    f"the file ends inside a record: {number_of(end - start, 'byte')} announced, {length} left"
+                )
         return self._data[start - self._base : end - self._base]
 
     def head(self, position: int) -> tuple[int, int]:
@@ -72,7 +75,7 @@ class Window:
         end = position + RECORD_HEAD.size + length
         if end > self.file.size:
             left = self.file.size - position - RECORD_HEAD.size
-            raise DamageError(f"the file ends inside a record: {length} bytes announced, {left} left")
+            raise DamageError(f"the file ends inside a record: {number_of(length, 'byte')} announced, {left} left")
         return opcode, end
 
     def next_credible(self, position: int, spend: Callable[[int], bool]) -> int:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
 from daq.mcap.summary import WrittenChunk, WrittenCounts, encode_record
-from rig_basics.texts import storable
+from rig_basics.texts import number_of, storable
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
@@ -212,7 +212,7 @@ class BlockWriter:
         for channel_id in np.unique(ids):
             self._check_channel(int(channel_id))
         if len(places) and places.max() + RECORD_HEAD_BYTES > chunk.unpacked:
-            raise ValueError(f"expected messages within {chunk.unpacked} bytes, got one at {places.max()}")
+            raise ValueError(f"expected messages within {number_of(chunk.unpacked, 'byte')}, got one at {places.max()}")
         self._close_chunk()
         late, early = (int(np.where(a > b, a - b, 0).max(initial=0)) for a, b in ((log, publish), (publish, log)))
         self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, places), (late, early))
@@ -341,7 +341,9 @@ class BlockWriter:
         self._closed = "writing it failed before"  # reset below: data after an incomplete record are unreadable
         written = cast("int | None", self._stream.write(data))  # None: an unbuffered stream that would block
         if written is not None and written != len(data):
-            raise OSError(f"expected {len(data)} bytes to be written, only {written} were: is the disk full?")
+            raise OSError(
+                f"expected {number_of(len(data), 'byte')} to be written, only {written} were: is the disk full?"
+            )
         self._closed = ""
         self._offset += len(data)
         self._crc = crc32(data, self._crc)

@@ -14,6 +14,7 @@ from daq.log import Log
 from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.wires import KINDS, make_wire
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -126,7 +127,8 @@ def _new_ports(devices: tuple[str, ...], kind: str) -> dict[str, Outlet]:
     except OSError as fault:
         for outlet in outlets.values():
             outlet.close()
-        raise LinkLost(f"{len(devices)} {kind} ports are needed, one cannot be made: {fault}") from fault
+        needed = number_of(len(devices), f"{kind} port")
+        raise LinkLost(f"expected {needed}, one cannot be made: {fault}") from fault
     return outlets
 
 

@@ -15,6 +15,7 @@ from daq.log.snapshot import rig_of
 from daq.mcap.missing import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
+from rig_basics.texts import number_of
 
 Progress = Callable[[float], None]
 _NEIGHBOURS_NS = 1_000_000_000  # samples are written at most this long after their bytes, unless the disk stalls
@@ -134,7 +135,9 @@ def _notes(
         yield f"missing: {place}"
     extra = sum(row.extra for row in rows)
     if extra:
-        yield f"the log is cut: {extra} samples and events are in its raw bytes alone"
+        yield (
+            f"the log is cut: {number_of(extra, 'sample or event is', 'samples and events are')} in its raw bytes alone"
+        )
     unknown = sorted(set(log.devices) - decodable)
     if unknown:
         yield f"not decoded, devices without an installed driver: {', '.join(unknown)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,13 +13,14 @@ from daq.drivers.index_marks import LOST_DEVIATION, NEIGHBOURS_RATIO, MarkSequen
 from daq.log import Log
 from daq.signals.run_clocks import since_start
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 Kind = Literal[
     "doubled marks", "missing turns", "time step", "phase jump", "encoder jump", "moved pendulum", "other order"
 ]
 _WORDS: dict[Kind, str] = {
-    "doubled marks": "{count} index marks came twice within {ms:.1f} ms{mended}, the first",
-    "missing turns": "{size:.0f} turns were not counted{mended}",
+    "doubled marks": "{marks} came twice within {ms:.1f} ms{mended}, the first",
+    "missing turns": "{turns} not counted{mended}",
     "time step": "the clock of the index marks stepped by {ms:+.1f} ms{mended}",
     "phase jump": "the phase jumps by {degrees:+.1f}°",
     "encoder jump": "encoder {pendulum} jumps by {degrees:+.1f}° in one sample (slipped on its shaft, or misread)",
@@ -65,6 +67,8 @@ class RotorDoubt:
     def words(self) -> str:
         """The finding as text."""
         words = _WORDS[self.kind].format(
+            marks=number_of(self.count, "index mark"),
+            turns=number_of(round(self.size), "turn was", "turns were") if math.isfinite(self.size) else "",
             size=self.size,
             ms=1e3 * self.size,
             degrees=np.degrees(self.size),

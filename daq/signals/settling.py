@@ -17,6 +17,7 @@ import numpy as np
 from daq.signals.approach import Approach, bound
 from daq.signals.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 _SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
 _MAX_WINDOWS = 30
@@ -139,7 +140,7 @@ def settled(
     if release_time_s is not None:
         edges = edges[edges >= release_time_s]
     if len(edges) <= windows:
-        return _unknown(f"fewer than {windows} windows of {limits.window_s:g} s since release")
+        return _unknown(f"fewer than {number_of(windows, 'window')} of {limits.window_s:g} s since release")
     if _change(time_s, angle_rad, edges[-4:]) > _FAR * limits.angle_tolerance_rad:
         edges = edges[-windows - 1 :]
     angles = angle_means(time_s, angle_rad, *marks, edges, angle_step_rad, windows)
@@ -188,7 +189,7 @@ def locked_settled(
     """
     edges = whole_revolutions(signals.mark_time_s, signals.mark_phase_rad, window_s, _MAX_WINDOWS)
     if len(edges) <= windows:
-        return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
+        return _unknown(f"fewer than {number_of(windows, 'window')} of {window_s:g} s at speed")
     orbit = signals.amplitude_means(edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")

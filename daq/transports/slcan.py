@@ -13,6 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.texts import number_of
+
 LINE_LIMIT_BYTES = 64
 BEL = "\a"
 _FRAME = re.compile(
@@ -109,7 +111,7 @@ def encode(frame: CanFrame) -> bytes:
     if not 0 <= frame.arbitration_id <= limit or len(frame.data) > 8:
         raise ValueError(
             f"expected an identifier up to {limit:#x} and up to 8 bytes, "
-            f"got {frame.arbitration_id:#x} and {len(frame.data)} bytes"
+            f"got {frame.arbitration_id:#x} and {number_of(len(frame.data), 'byte')}"
         )
     letter = "r" if frame.remote else "t"
     letter = letter.upper() if frame.extended else letter

@@ -20,6 +20,7 @@ from typing import Any
 from daq.errors import DeviceError
 from daq.virtual_rig.control import OperatorLine
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 from rig_configs.errors import RigConfigError
 
 _log = logging.getLogger(__name__)
@@ -41,7 +42,9 @@ class SeveralRigsRun(RigConfigError):
     def __init__(self, choices: Sequence[tuple[Path, str]]) -> None:
         self.choices: tuple[tuple[Path, str], ...] = tuple(choices)
         rows = "".join(f"\n  {path}   ({rig})" for path, rig in self.choices)
-        super().__init__(f"{len(self.choices)} virtual rigs run; choose one by its note:{rows}")
+        super().__init__(
+            f"{number_of(len(self.choices), 'virtual rig runs', 'virtual rigs run')}; choose one by its note:{rows}"
+        )
 
 
 @dataclass(frozen=True)

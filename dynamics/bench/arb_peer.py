@@ -32,6 +32,7 @@ from scipy.special import roots_jacobi
 from dynamics.arrays import Complex
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
+from rig_basics.texts import number_of
 
 _MAX_DECAY = 45.0  # decay exponent over half a revolution; a faster mode is below e^−90 after a whole one
 _SMALLEST_BITS = 256
@@ -346,7 +347,7 @@ def _proven(parameters: RotorParameters, speed_rad_s: float, panels: int) -> tup
         if width < 1e-14:
             return found
     raise NotConverged(
-        f"reference: the multipliers are enclosed to {width:.2g} with {context.prec} bits, expected 1e-14"
+        f"reference: the multipliers are enclosed to {width:.2g} with {number_of(context.prec, 'bit')}, expected 1e-14"
     )
 
 

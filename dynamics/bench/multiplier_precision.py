@@ -19,6 +19,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
 from dynamics.stability.floquet import METHODS, MonodromyMethod, floquet_multipliers
 from dynamics.stability.floquet.multipliers import balanced
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -106,7 +107,9 @@ def _method_rows(
             if np.isfinite(found) and (error is None or error < _MAX_USEFUL_ERROR):
                 seconds = median_seconds(lambda steps=steps: _largest(matrix, method, steps), repeats)
                 setting = (
-                    f"tolerance {max(float(steps) ** -method.ORDER, _FINEST_SCIPY):.0e}" if peer else f"{steps} steps"
+                    f"tolerance {max(float(steps) ** -method.ORDER, _FINEST_SCIPY):.0e}"
+                    if peer
+                    else f"{number_of(steps, 'step')}"
                 )
                 rows.append(Measurement(SERVICE, case, name, setting, seconds, "point", error, peer=peer))
                 if error is not None and _has_ended(rows):

@@ -11,6 +11,7 @@ from typing import Any
 
 from dynamics.bench.records import Measurement
 from dynamics.bench.wording import times
+from rig_basics.texts import number_of
 
 MAX_EQUAL_TIME_RATIO = 1.5
 """Largest time ratio to the cheapest accuracy that counts as equal: benchmark times scatter by this factor."""
@@ -109,7 +110,10 @@ def _peers(rows: Sequence[tuple[float, Measurement]]) -> str:
     compared = sum(row.peer_ratio is not None for _, row in rows)
     if not behind:
         return ""
-    return f"; a peer at least as exact is up to {times(max(behind))} as fast ({len(behind)} of {compared} rows)"
+    return (
+        f"; a peer at least as exact is up to {times(max(behind))} as fast ({len(behind)} of "
+        f"{number_of(compared, 'row')})"
+    )
 
 
 def log_ratio(one: float, other: float) -> float:

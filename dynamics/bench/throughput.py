@@ -18,6 +18,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.batch import simulate_batch
 from dynamics.stability.stability_map import StabilityMap, stability_map
 from dynamics.steady.steady_motions import steady_states
+from rig_basics.texts import number_of
 
 SPEED_RATIOS, STIFFNESS_RATIOS = (0.3, 7.0), (1.0, 16.0)
 _SPREAD = 0.1  # relative half-width of the batch's parameters
@@ -45,7 +46,7 @@ def map_rows(
     points = shape[0] * shape[1]
     cores = os.cpu_count() or 1
     spans = [f"{low:g}…{high:g}" for low, high in (SPEED_RATIOS, STIFFNESS_RATIOS)]
-    case = f"{points} points, Ω {spans[0]} × K {spans[1]}"
+    case = f"{number_of(points, 'point')}, Ω {spans[0]} × K {spans[1]}"
     found = stability_map(parameters, speeds, stiffness, accuracy)
     seconds = median_seconds(lambda: stability_map(parameters, speeds, stiffness, accuracy), repeats) / points
     places = np.random.default_rng(_SEED).choice(points, min(sample, points), replace=False)
@@ -106,7 +107,7 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
     scenes = [release(rig) for rig in rigs]
     times, accuracy = np.array([0.0, duration_s]), 1e-6
     sets = [rig[0] for rig in rigs]
-    case = f"{runs} releases of {duration_s:g} s at Ω = {speed_ratio:g}, parameters ± {100 * _SPREAD:g} %"
+    case = f"{number_of(runs, 'release')} of {duration_s:g} s at Ω = {speed_ratio:g}, parameters ± {100 * _SPREAD:g} %"
     found = simulate_batch(sets, scenes, times, accuracy, last_only=True)
     if not np.all(found.ok):
         case += f", {int(np.sum(~found.ok))} refused"
@@ -162,7 +163,7 @@ def steady_state_rows(points: dict[str, Rig], accuracy: float, repeats: int) -> 
             Measurement(
                 "steady states",
                 name,
-                f"{len(found)} states",
+                number_of(len(found), "state"),
                 f"accuracy {accuracy:.0e}",
                 seconds,
                 "call",
@@ -170,7 +171,7 @@ def steady_state_rows(points: dict[str, Rig], accuracy: float, repeats: int) -> 
                 estimate,
                 automatic=True,
                 accuracy=accuracy,
-                chosen=(f"{len(found)} states",),
+                chosen=(number_of(len(found), "state"),),
             )
         )
     return rows

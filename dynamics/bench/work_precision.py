@@ -21,6 +21,7 @@ from dynamics.bench.records import Measurement, Target, over_points
 from dynamics.bench.throughput import batch_rows, map_rows, steady_state_rows
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.stability_map import stability_map
+from rig_basics.texts import number_of
 
 ALL_POINTS = "all points"
 RELEASE, STIFF_RELEASE = "release", "release with c34 = 50, 2 s"
@@ -150,7 +151,7 @@ def targets(rows: Iterable[Measurement]) -> list[Target]:
         if row.service == "map" and row.true_error is not None:
             found.append(Target("map, true error of the sample", 1e-8, row.true_error))
         if row.service == "batch" and row.count == FULL.runs:
-            found.append(Target(f"{FULL.runs} releases of 20 s, s", 1.5, FULL.runs * row.seconds))
+            found.append(Target(f"{number_of(FULL.runs, 'release')} of 20 s, s", 1.5, FULL.runs * row.seconds))
         if row.service == "process" and row.case == PREDICT:
             warm = row.setting == WARM
             found.append(Target(f"predict, {'warm' if warm else 'cold'}, s", 1.5 if warm else 15.0, row.seconds))

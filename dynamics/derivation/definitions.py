@@ -26,6 +26,7 @@ from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.balancing import balanced_angles, closing_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
+from rig_basics.texts import number_of
 
 _integrators: Any = scipy.integrate  # scipy has no annotations
 _linear_algebra: Any = scipy.linalg
@@ -127,7 +128,7 @@ def _moments() -> list[Checked]:
             "3-4",
             "properly oversized",
             bool(np.all(proper == exists)),
-            f"balanced angles exist for exactly these of {len(sides)} random sets of moments",
+            f"balanced angles exist for exactly these of {number_of(len(sides), 'random set')} of moments",
         ),
         Checked(
             "3-5",
@@ -140,7 +141,7 @@ def _moments() -> list[Checked]:
             "3-7",
             "improperly oversized, yet of use",
             overlap > 0,
-            f"{overlap} of {int(improper.sum())} such sets fulfil it: it contradicts (3-5); last section",
+            f"{overlap} of {number_of(int(improper.sum()), 'such set')} fulfil it: it contradicts (3-5); last section",
         ),
     ]
 

@@ -14,6 +14,7 @@ from dynamics.derivation.definitions import definitions
 from dynamics.derivation.effects import POINTS, rig
 from dynamics.derivation.misprint_pieces import details
 from dynamics.derivation.misprint_text import program_section, release_section, text_section
+from rig_basics.texts import number_of
 
 HEAD = """# Misprints of the source
 
@@ -189,8 +190,8 @@ def text() -> str:
         "\n".join(summary()),
         "## Everything compared",
         f"{len(comparisons())} equations and matrices are compared cell by cell, {wrong} of them differ. The other "
-        f"{len(definitions())} numbered items are definitions and methods: each is verified by a property that an "
-        f"incorrect one would not have (`dynamics/derivation/definitions.py`); {vague} of them fails.",
+        f"{number_of(len(definitions()), 'numbered item')} are definitions and methods: each is verified by a property "
+        f"that an incorrect one would not have (`dynamics/derivation/definitions.py`); {vague} of them fails.",
         "\n".join(verdicts()),
         "## Equations: details",
         "\n".join(equation_details()).rstrip(),

@@ -20,6 +20,7 @@ from dynamics.equations.scene import Scene
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
 from dynamics.motions.motion_problem import instants
+from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,10 @@ def simulate_batch(
     times = instants(time_s)
     each = [scenes] * len(parameters) if isinstance(scenes, Scene) else list(scenes)
     if len(each) != len(parameters):
-        raise OutsideDomain(f"{len(parameters)} parameter sets need one scene or as many, got {len(each)}")
+        raise OutsideDomain(
+            f"{number_of(len(parameters), 'parameter set needs', 'parameter sets need')} one scene or as "
+            f"many, got {len(each)}"
+        )
     count = len(parameters)
     states = np.full((count, 1 if last_only else len(times), 8), np.nan)
     bounds = np.full(count, np.inf)

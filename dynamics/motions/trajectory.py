@@ -24,6 +24,7 @@ from dynamics.motions.marching import (
     march,
 )
 from dynamics.motions.motion import MotionEvent, Piece, Polynomials
+from rig_basics.texts import number_of
 
 _WATCH = {FORWARD: WATCH_FORWARD, BACKWARD: WATCH_BACKWARD, STUCK: WATCH_STUCK}
 _EVENT = {FORWARD: "slide forward", BACKWARD: "slide backward", STUCK: "stick"}
@@ -155,7 +156,8 @@ class _Run:
         self.h = min(self.h, 0.05 / self.problem.pace)
         if self.switches > _MAX_SWITCHES_AT_ONCE:
             raise NotConverged(
-                f"dry friction changed modes {self.switches} times around t = {self.t:.9g} s without time passing; "
+                f"dry friction changed modes {number_of(self.switches, 'time')} around t = {self.t:.9g} s "
+                f"without time passing; "
                 "start from a slightly different state or change the friction slightly"
             )
 
@@ -211,7 +213,8 @@ class _Run:
     def _spent(self) -> str:
         times = self.problem.times
         return (
-            f"{self.out.tried} steps brought the motion from t = {times[0]:.6g} to {self.t:.6g} of {times[-1]:.6g} s "
+            f"{number_of(self.out.tried, 'step')} brought the motion from t = {times[0]:.6g} to {self.t:.6g} "
+            f"of {times[-1]:.6g} s "
             f"(about {self._expected():.2g} steps for the whole, {self.most_steps:.2g} allowed); raise work_limit, "
             "reduce the accuracy or shorten the run"
         )

@@ -26,6 +26,7 @@ from dynamics.motions.locked_motion import damping_rates
 from dynamics.steady.slipping import SlippingMotion, slipping_motion
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -294,7 +295,7 @@ class _Release:
         """Description of a motion that reached nothing."""
         strobe = np.concatenate(self.blocks)
         half = strobe[len(strobe) // 2 :]
-        sentences = [f"not settled within {self.done} revolutions ({self.done * self.period:.4g} s)"]
+        sentences = [f"not settled within {number_of(self.done, 'revolution')} ({self.done * self.period:.4g} s)"]
         for i in self.pendulums:
             whole = (strobe[-1, 2 + i] - strobe[0, 2 + i]) / (2 * math.pi)
             late = (half[-1, 2 + i] - half[0, 2 + i]) / (2 * math.pi)

@@ -18,6 +18,7 @@ from typing import Any, Literal
 from dynamics.bench.recommendations import Recommendation, log_ratio
 from dynamics.bench.wording import times
 from identification.bench.trials import SETTINGS, Precision
+from rig_basics.texts import number_of
 
 NO_GAIN = 1.5
 """Factor of the error that justifies a slower setting."""
@@ -71,11 +72,12 @@ def _of_service(service: str, own: dict[str, dict[str, Precision]]) -> Recommend
             reasons.append(f"{cost} and {_gained(pair)}")
             chosen = slower
         elif pair.verdict == "same":
-            measured = f"{len(cases)} case{'s' if len(cases) > 1 else ''} of {pair.records} records or more"
+            measured = f"{number_of(len(cases), 'case')} of {number_of(pair.records, 'record')} or more"
             reasons.append(f"{cost} and is at most {times(pair.at_most)} as exact ({measured})")
         else:
             doubts.append(
-                f"{cost}, its errors, {_span(pair)} those of {chosen}, may be chance with {pair.records} records a case"
+                f"{cost}, its errors, {_span(pair)} those of {chosen}, may be chance with "
+                f"{number_of(pair.records, 'record')} a case"
             )
     reasoning = "; ".join(reasons + doubts)
     if doubts:
@@ -91,7 +93,7 @@ def _span(pair: _Pair) -> str:
 
 def _gained(pair: _Pair) -> str:
     if pair.fewer_failures:
-        return f"fails {pair.fewer_failures} records fewer"
+        return f"fails {number_of(pair.fewer_failures, 'record')} fewer"
     return f"has errors up to {times(pair.gain[1])} smaller"
 
 

@@ -11,6 +11,7 @@ from scipy import linalg, optimize, signal as scipy_signal
 
 from identification.bench.decays import DecayTrial
 from identification.bench.trials import MethodResult
+from rig_basics.texts import number_of
 
 Array = NDArray[np.floating]
 _linalg, _optimize, _signal = cast("Any", linalg), cast("Any", optimize), cast("Any", scipy_signal)  # untyped in scipy
@@ -163,7 +164,7 @@ def strongest(poles: Array, wanted: int, lowest_Hz: float = 0.5) -> list[complex
     """
     found = sorted((complex(p) for p in poles if p.imag > 2 * np.pi * lowest_Hz), key=lambda p: -p.real)[:wanted]
     if len(found) < wanted:
-        raise ValueError(f"expected {wanted} oscillating poles above {lowest_Hz:g} Hz, found {len(found)}")
+        raise ValueError(f"expected {number_of(wanted, 'oscillating pole')} above {lowest_Hz:g} Hz, found {len(found)}")
     return sorted(found, key=abs)
 
 

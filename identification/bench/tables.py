@@ -9,6 +9,7 @@ from dynamics.bench.records import Target
 from dynamics.bench.tables import BenchmarkPage, duration, standing
 from identification.bench.recommendations import recommended_settings
 from identification.bench.trials import AT_THE_BOUND, Precision
+from rig_basics.texts import number_of
 
 HEADER = ("method", "setting", "time", "rms / bound", "bias / bound", "95 % covers", "gross", "ours / peer", "front")
 LEGEND = (
@@ -51,7 +52,10 @@ def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]
         groups = next((" · ".join(r.rms) for r in members if r.rms), "no answers")
         runs = max(r.runs for r in members)
         found.append(
-            (f"{service}: {case} ({groups}; {runs} records, time a {members[0].per})", [_cells(r) for r in members])
+            (
+                f"{service}: {case} ({groups}; {number_of(runs, 'record')}, time a {members[0].per})",
+                [_cells(r) for r in members],
+            )
         )
     return found
 

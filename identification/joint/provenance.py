@@ -18,6 +18,7 @@ from identification.estimate import Estimate
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.samples import correlation_inflation
 from identification.sources import parts
+from rig_basics.texts import number_of
 from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError
 from rig_configs.parameters_file import IdentifiedParameters
@@ -135,7 +136,9 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
         }
         covariance = np.array(entry["covariance"], float)
         if covariance.shape != (len(names), len(names)):
-            raise ValueError(f"covariance: expected {len(names)} × {len(names)} numbers, got {covariance.shape}")
+            raise ValueError(
+                f"covariance: expected {len(names)} × {number_of(len(names), 'number')}, got {covariance.shape}"
+            )
         recorded = entry.get("recorded")
         return KeptTest(
             Estimate(

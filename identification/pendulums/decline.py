@@ -16,7 +16,7 @@ from daq.signals.phase_noise import encoder_step
 from identification.errors import NotIdentifiable
 from identification.pendulums.run_down import RunDown
 from identification.samples import encoder_noise, white_noise
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 
 _FEWEST = 40  # smallest number of samples of a run-down
 _DIFFERENCE = 1.5  # noise of the difference of two readings over that of a reading; slightly above √2
@@ -48,7 +48,9 @@ def decline_of(time_s: np.ndarray, angle_rad: np.ndarray) -> RunDown:
             f"({_LEAST_TRAVEL} times the noise of a reading); flick it harder"
         )
     if len(t) < _FEWEST:
-        raise NotIdentifiable(f"the pendulum stops within {len(t)} samples of its push, {_FEWEST} are needed")
+        raise NotIdentifiable(
+            f"the pendulum stops within {number_of(len(t), 'sample')} of its push, {_FEWEST} are needed"
+        )
     return RunDown(t, angle, noise, step)
 
 
@@ -60,7 +62,10 @@ def _valid(time_s: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.nd
         )
     good = np.isfinite(time_s) & np.isfinite(angle_rad)
     if np.count_nonzero(good) < _FEWEST:
-        raise NotIdentifiable(f"{np.count_nonzero(good)} valid encoder samples are too few, {_FEWEST} are needed")
+        raise NotIdentifiable(
+            f"{number_of(np.count_nonzero(good), 'valid encoder sample is', 'valid encoder samples are')} "
+            f"too few, {_FEWEST} are needed"
+        )
     t, angle = time_s[good], angle_rad[good]
     if np.any(np.diff(t) < 0):
         order = np.argsort(t, kind="stable")

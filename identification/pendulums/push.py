@@ -13,6 +13,7 @@ from identification.pendulums.run_down import RunDown, stop_time
 from identification.pendulums.spin_down import first_fit
 from identification.pendulums.transient import EncoderReadings
 from identification.samples import block_averages, encoder_noise
+from rig_basics.texts import number_of
 
 TIME_CONSTANTS = 4.5
 """Length of the fitted run-down in time constants."""
@@ -82,7 +83,10 @@ def spin_down_readings(time_s: np.ndarray, angle_rad: np.ndarray, rate_per_s: fl
     """
     good = np.isfinite(angle_rad)
     if np.count_nonzero(good) < _FEWEST:
-        raise NotIdentifiable(f"{np.count_nonzero(good)} valid encoder samples are too few, {_FEWEST} are needed")
+        raise NotIdentifiable(
+            f"{number_of(np.count_nonzero(good), 'valid encoder sample is', 'valid encoder samples are')} "
+            f"too few, {_FEWEST} are needed"
+        )
     time, angle = time_s[good], angle_rad[good]
     step = encoder_step(angle)
     averages = block_averages(time, angle, min(_BLOCK_S, 0.2 / rate_per_s), encoder_noise(angle, step or 1e-6))

@@ -36,7 +36,7 @@ from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
 from rig_basics.arrays import Array
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
 Shape = Literal["torque", "contact", "both"]
@@ -455,7 +455,7 @@ def _readings(run: Run, begin_s: float, block_s: float) -> tuple[EncoderReadings
         good = keep & np.isfinite(run.angle_rad[:, i])
         time, angle = run.angle_time_s[good], run.angle_rad[good, i]
         if len(angle) < 500:
-            raise NotIdentifiable(f"{run.source}: {len(angle)} encoder samples after the release are too few")
+            raise NotIdentifiable(f"{run.source}: only {number_of(len(angle), 'encoder sample')} after the release")
         step = encoder_step(angle)  # the step in the recording may be wrong, or the angle is not quantised
         noise = encoder_noise(angle, step) if step else encoder_noise(angle, 1e-6)
         out.append(EncoderReadings(time, angle, block_averages(time, angle, block_s, noise), step))

@@ -19,6 +19,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import plausible_answers
 from identification.pendulums.transient import TransientProblem
 from identification.work import tried
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -201,7 +202,7 @@ class Search:
             best = min(whole, key=lambda t: t.misfit)
             return (
                 f"the fit of the released pendulums over {self.horizons[-1] - begin:.2g} s had not settled after "
-                f"{best.minimum.iterations} iterations"
+                f"{number_of(best.minimum.iterations, 'iteration')}"
             )
         if whole:
             least = min(t.misfit for t in whole)

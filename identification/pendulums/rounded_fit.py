@@ -16,6 +16,7 @@ from identification.pendulums.quantiser import rounding_errors
 from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
 from identification.samples import correlation_inflation
 from identification.setting import Setting
+from rig_basics.texts import number_of
 
 TIME_CONSTANTS = 5.0
 """Default length of a stretch in time constants."""
@@ -86,7 +87,7 @@ def _converged(data: RunDown, start: np.ndarray) -> Minimum:
     minimum = fit_run_down(data, start)
     if not minimum.converged:
         raise FitFailed(
-            f"spin-down: the fit did not converge in {minimum.iterations} steps, χ²/dof "
+            f"spin-down: the fit did not converge in {number_of(minimum.iterations, 'step')}, χ²/dof "
             f"{minimum.cost / len(data.time_s):.3g}; record again"
         )
     return minimum

@@ -24,6 +24,7 @@ from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, 
 from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
 from identification.samples import checked_times
 from identification.setting import ModelChoice, Setting, check_setting
+from rig_basics.texts import number_of
 
 FRICTION_P = 5e-4
 """Probability by chance below which dry friction counts as found."""
@@ -167,7 +168,9 @@ def first_fit(data: RunDown) -> np.ndarray:
     for _ in range(3):
         part = cut(data, theta)
         if len(part.time_s) < 20:
-            raise NotIdentifiable(f"the pendulum runs down within {len(part.time_s)} samples; flick it harder")
+            raise NotIdentifiable(
+                f"the pendulum runs down within {number_of(len(part.time_s), 'sample')}; flick it harder"
+            )
         theta = fit_run_down(part, theta).theta
         if not -np.log(20 * (t[-1] + 1e-9)) < theta[2] < np.log(1e6):
             raise NotIdentifiable("the pendulum's speed does not fall; record longer")

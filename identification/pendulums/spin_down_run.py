@@ -41,6 +41,7 @@ from identification.pendulums.transient import (
 from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.work import bounded_work, tried
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -86,7 +87,10 @@ def fit_spin_down_run(
 def _fitted(run: Run, knowledge: Knowledge, setting: Setting, held: frozenset[Rung]) -> TransientFit:
     """Fit a spin-down; arguments and errors as for `fit_spin_down_run`."""
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
-        raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few, 400 are needed")
+        raise NotIdentifiable(
+            f"{run.source}: {number_of(len(run.angle_time_s), 'encoder sample is', 'encoder samples are')} "
+            f"too few, 400 are needed"
+        )
     declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
     fastest = max(d.rate_per_s for d in declines)
     whole = [spin_down_readings(run.angle_time_s, run.angle_rad[:, i], fastest) for i in range(2)]
@@ -144,7 +148,8 @@ def _fit_from(
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
         if fit.chi2_per_dof < _MAX_CHI2:
             raise FitFailed(
-                f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although "
+                f"{run.source}: the spin-down's fit had not settled after "
+                f"{number_of(minimum.iterations, 'iteration')}, although "
                 f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_MAX_CHI2:g}); record "
                 "a longer run-down, or flick faster"
             )
@@ -277,7 +282,7 @@ def _model_table(
     coupled = float(minimum.residual[:size] @ minimum.residual[:size])
     count = len(minimum.theta)
     needed = bare + 2 * 6 > coupled + 2 * count
-    why = f"χ² {bare:.3g} against {coupled:.3g} for {size} blocks: " + (
+    why = f"χ² {bare:.3g} against {coupled:.3g} for {number_of(size, 'block')}: " + (
         "the disk's reaction on the pendulums is visible" if needed else "the disk's reaction is below the noise"
     )
     name = " with ".join(["coupled motion of disk and pendulums", *terms])

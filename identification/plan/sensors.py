@@ -13,6 +13,7 @@ from daq.signals.run import Run
 from identification.clocks import clock_label
 from identification.errors import NotIdentifiable
 from identification.samples import white_noise
+from rig_basics.texts import number_of
 from rig_configs.error_label import ErrorLabel
 from rig_configs.roles import USUAL_RELEASE_STD_S
 from rig_configs.schema import Rig
@@ -102,7 +103,7 @@ class SensorProperties:
         if not usable:
             raise NotIdentifiable(
                 f"expected a log of this rig with displacements along {' and '.join(self.axes)} for the sensors' "
-                f"noise, got {len(runs)} logs without them; add one"
+                f"noise, got {number_of(len(runs), 'log')} without them; add one"
             )
         noise, rate = list(self.laser_noise_m), list(self.laser_rate_Hz)
         for axis in self.axes:

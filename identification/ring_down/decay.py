@@ -17,7 +17,7 @@ from identification.ring_down.averaging import corrected
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
 from identification.ring_down.record import SensorRecord
 from identification.samples import Averages
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 
 _T = TypeVar("_T")
 COARSE_S = 1 / 250.0  # duration of the blocks for start values: 20 per cycle up to 12.5 Hz
@@ -294,6 +294,7 @@ def refuse_too_short(fitted: FittedDecay) -> None:
         if cycles < _MIN_CYCLES:
             shown, needed = distinct(cycles, _MIN_CYCLES)
             raise NotIdentifiable(
-                f"the record shows {shown} cycles of {slowest:.3g} Hz after the release; at least {needed} are needed, "
+                f"the record shows {number_of(shown, 'cycle')} of {slowest:.3g} Hz after the release; at least "
+                f"{needed} are needed, "
                 "five or more are better"
             )

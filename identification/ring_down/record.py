@@ -21,6 +21,7 @@ from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine
 from identification.samples import Averages, checked_times, clipped, white_noise, white_noises
 from identification.work import spend
+from rig_basics.texts import number_of
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # these samples determine the noise to 1 %
 _LEVEL_SAMPLES, _TOP_SHARES, _MIN_VISITS = 20_000, (0.02, 0.005, 0.001), 3
@@ -142,15 +143,16 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     keep = finite & ~railed & ~stuck
     if np.count_nonzero(keep) < _MIN_SAMPLES:
         raise NotIdentifiable(
-            f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of {len(value)} samples are valid; "
+            f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of "
+            f"{number_of(len(value), 'sample is', 'samples are')} valid; "
             f"at least {_MIN_SAMPLES} are needed. Check its cable and its range, or give the other sensor alone"
         )
     remarks: list[str] = []
     if np.any(stuck & ~railed):
-        remarks.append(f"{np.count_nonzero(stuck & ~railed)} samples that repeat one value left out")
+        remarks.append(f"{number_of(np.count_nonzero(stuck & ~railed), 'sample')} of one repeated value left out")
     rail = (-np.inf, np.inf)
     if railed.any():
-        remarks.append(f"{np.count_nonzero(railed)} samples at the sensor's rail left out")
+        remarks.append(f"{number_of(np.count_nonzero(railed), 'sample')} at the sensor's rail left out")
         middle = float(np.median(_spread_subset(value[keep])))
         low, high = value[railed & (value < middle)], value[railed & (value > middle)]
         rail = (float(np.median(low)) if len(low) else -np.inf, float(np.median(high)) if len(high) else np.inf)

@@ -33,7 +33,7 @@ from identification.ring_down.resolution import RESOLVED_GAIN, RESOLVED_SPLIT, W
 from identification.ring_down.scores import stretches
 from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
-from rig_basics.texts import distinct
+from rig_basics.texts import distinct, number_of
 
 _MAX_RESIDUAL_RATIO, _MAX_CHI2 = 0.1, 10.0  # residual over signal and χ²/dof; a model above both is rejected
 _LARGE_CHI2 = 1.3  # χ²/dof that yields a warning
@@ -106,7 +106,7 @@ class Findings:
     def add_outliers(self, count: int) -> None:
         """Add a warning with the number of outliers."""
         if count:
-            self.warnings.append(f"{count} samples that no noise explains left out")
+            self.warnings.append(f"{number_of(count, 'sample')} that no noise explains left out")
 
 
 def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
@@ -175,7 +175,7 @@ def _resolution_of_settled(fitted: FittedDecay, priors: Priors, stretch: np.ndar
     lost = not minimum.converged and (found is None or found.resolved)  # an unresolved angle has no minimum
     if lost or not np.all(np.isfinite(minimum.theta)):
         raise FitFailed(
-            f"ring-down: no convergence in {minimum.iterations} iterations"
+            f"ring-down: no convergence in {number_of(minimum.iterations, 'iteration')}"
             + (
                 f", and χ²/dof {chi2:.3g} is above 1.3: is it a free decay, and in metres?"
                 if chi2 > _LARGE_CHI2
@@ -235,7 +235,7 @@ def _curves(fitted: FittedDecay, chi2: float, axes: str) -> tuple[list[FittedCur
                 raise FitFailed(
                     f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal, above "
                     f"{max(_MAX_RESIDUAL_RATIO, 2 * white):.0%}, at a χ²/dof of {chi2:.3g}, above {_MAX_CHI2:g}: the "
-                    f"motion is not a sum of {fitted.model.modes} decaying modes"
+                    f"motion is not a sum of {number_of(fitted.model.modes, 'decaying mode')}"
                 )
             rms.append(float(np.sqrt(np.mean(metres**2))))
             curves.append(

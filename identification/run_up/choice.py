@@ -26,6 +26,7 @@ from identification.run_up.model import (
 )
 from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
+from rig_basics.texts import number_of
 
 _MAX_REFIT_CHI2 = 200.0  # Wald χ² above which the narrower model is rejected without a fit
 _CLOCK_STD = (10e-3, 10e-3, 1e-4, 1e-4)  # s, s, relative rates
@@ -139,7 +140,7 @@ def _table(
         )
     ]
     for key, other in others.items():
-        why = f"χ² {other.chi2:+.3g} for {other.unknowns:+d} unknowns ({other.how})"
+        why = f"χ² {other.chi2:+.3g} for {number_of(other.unknowns, 'unknown', form='+d')} ({other.how})"
         table.append(ModelChoice(other.name, unknowns + other.unknowns, base - gain[key], key in taken, why))
     return ", ".join(words), table
 

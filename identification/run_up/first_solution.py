@@ -27,6 +27,7 @@ from identification.run_up.model import (
     run_up_blocks,
 )
 from identification.run_up.start import RunUpStart, run_up_starts
+from rig_basics.texts import number_of
 
 _MAX_CHI2 = 1.5  # χ²/dof above which other start values are tried
 _TERMS_WIDENING = 20.0  # factor on the std of a ring-down's terms, so that its information counts only once
@@ -106,7 +107,8 @@ def from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> t
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
     if not best.minimum.converged or not np.all(np.isfinite(best.minimum.theta)):
         raise UnexplainedPassage(
-            f"run-up: no convergence in {best.minimum.iterations} iterations, χ²/dof {best.chi2_per_dof:.3g}"
+            f"run-up: no convergence in {number_of(best.minimum.iterations, 'iteration')}, χ²/dof "
+            f"{best.chi2_per_dof:.3g}"
         )
     return structure, best
 

@@ -36,6 +36,7 @@ from identification.rungs import Rung, held_back
 from identification.samples import Averages, checked_times
 from identification.setting import Setting, check_setting
 from identification.typed_scipy import median_filter
+from rig_basics.texts import number_of
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 
@@ -209,7 +210,7 @@ def _without_outlying_blocks(
         record = replace(whole, x=whole.channels[0].where(keep[0]), y=whole.channels[1].where(keep[1]), recent={})
         solution = solve(record, structure, solution.minimum.theta)
     remarks = [
-        f"{n} blocks of sensor {name} left out, whose residuals neither motion nor noise explains"
+        f"{number_of(n, 'block')} of sensor {name} left out, whose residuals neither motion nor noise explains"
         for name, n in zip("xy", lost, strict=True)
         if n
     ]

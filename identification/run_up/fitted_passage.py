@@ -29,6 +29,7 @@ from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.unmodelled import Unmodelled, unmodelled
 from identification.samples import Averages, correlation_inflation
 from identification.setting import Setting
+from rig_basics.texts import number_of
 
 _MAX_RESIDUAL_RATIO = 0.1  # residual over signal; a model above it is rejected
 
@@ -124,7 +125,8 @@ def _doubts(solution: Solution, correlated: float, slow: bool) -> list[str]:
     chi2 = solution.chi2_per_dof
     if not solution.minimum.converged:
         warnings.append(
-            f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not use its values"
+            f"the run-up's fit had not settled after {number_of(solution.minimum.iterations, 'iteration')}; "
+            f"do not use its values"
         )
     if chi2 > 1.3 and not slow:
         warnings.append(

@@ -12,6 +12,7 @@ from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.typed_scipy import toeplitz
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 _KNOTS_PER_TURN = 40  # twenty per period of a ripple of twice per revolution
 _MIN_MARKS = 10
@@ -89,7 +90,7 @@ class PhaseHistory:
         good = np.isfinite(phase_rad) & np.isfinite(time_s)
         time, phase = np.asarray(time_s, float)[good], np.asarray(phase_rad, float)[good]
         if len(time) < 200:
-            raise NotIdentifiable(f"the phase has {len(time)} valid samples; a passage needs at least 200")
+            raise NotIdentifiable(f"the phase has {number_of(len(time), 'valid sample')}; a passage needs at least 200")
         if np.any(np.diff(time) <= 0):
             raise NotIdentifiable("the times of a run-up must rise from sample to sample")
         phase = np.unwrap(phase) if _is_wrapped(phase) else phase
@@ -145,7 +146,7 @@ class PhaseHistory:
             NotIdentifiable: there are fewer than ten marks, or they do not ascend.
         """
         if len(time_s) < _MIN_MARKS:
-            raise NotIdentifiable(f"{len(time_s)} tachometer marks; a run-up needs ten")
+            raise NotIdentifiable(f"{number_of(len(time_s), 'tachometer mark')}; a run-up needs ten")
         try:
             history = SpeedHistory.from_phases(time_s, phase_rad)
         except OutsideDomain as error:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine, sentences, steady_lines
 from identification.samples import Averages, block_averages, clipped, white_noise
+from rig_basics.texts import number_of
 
 _MIN_BLOCKS = 200
 _SCALE_SAMPLES = 20000  # samples for the median of a scale
@@ -42,7 +43,8 @@ def sensor_averages(
     time, value = np.asarray(time_s, float)[inside], np.asarray(value_m, float)[inside]
     if len(time) < _MIN_BLOCKS:
         raise NotIdentifiable(
-            f"sensor {name} has {len(time)} valid samples with a known phase, {np.count_nonzero(known & ~inside)} are "
+            f"sensor {name} has {number_of(len(time), 'valid sample')} with a known phase, "
+            f"{np.count_nonzero(known & ~inside)} are "
             "NaN; a passage needs hundreds"
         )
     if np.ptp(value) == 0.0:
@@ -50,7 +52,7 @@ def sensor_averages(
     warnings: list[str] = []
     rail = clipped(value)
     if rail.any():
-        warnings.append(f"{np.count_nonzero(rail)} samples at the rail of sensor {name} left out")
+        warnings.append(f"{number_of(np.count_nonzero(rail), 'sample')} at the rail of sensor {name} left out")
         time, value = time[~rail], value[~rail]
     value, lines = _without_lines(time, value)
     warnings += [f"sensor {name}: {text}" for text in sentences([(name, lines)])]
@@ -60,7 +62,7 @@ def sensor_averages(
         value = value.copy()
         outliers = _without_outliers(value, float(np.median(value[::every])), 2 * (top_rad_s * step) ** 2, _OUTLIER_STD)
         if outliers > 3 + 1e-4 * len(value):
-            warnings.append(f"{outliers} outliers of sensor {name} left out")
+            warnings.append(f"{number_of(outliers, 'outlier')} of sensor {name} left out")
     else:
         warnings.append(
             f"sensor {name} gives {2 * np.pi / (top_rad_s * step):.1f} samples a turn at top speed, too few to "
@@ -71,7 +73,7 @@ def sensor_averages(
         raise NotIdentifiable(f"sensor {name} shows no noise: it is constant except for a few samples")
     averages = block_averages(time, value, 2 * np.pi / top_rad_s / per_turn, noise)
     if len(averages.time_s) < _MIN_BLOCKS:
-        raise NotIdentifiable(f"sensor {name} gives {len(averages.time_s)} block averages; record longer")
+        raise NotIdentifiable(f"sensor {name} gives {number_of(len(averages.time_s), 'block average')}; record longer")
     return averages, warnings
 
 

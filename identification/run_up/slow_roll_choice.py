@@ -21,6 +21,7 @@ from identification.run_up.model import RunUpRecord, Structure, slow_roll_column
 from identification.samples import correlation_inflation
 from identification.setting import ModelChoice
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 Solve = Callable[[Structure, Array], Solution]
 Kind = tuple[bool, bool, bool]
@@ -152,7 +153,7 @@ def _scores(record: RunUpRecord, design: Design) -> tuple[list[float], list[Mode
     for kind, score in zip(kinds, scores, strict=True):
         more = _UNKNOWNS * sum(kind)
         gains.append(float(score / noise - more * np.log(n)))
-        why = f"χ² {-score:+.3g} for {more:+d} unknowns (score)"
+        why = f"χ² {-score:+.3g} for {number_of(more, 'unknown', form='+d')} (score)"
         table.append(ModelChoice(" and ".join(words(kind)), design.unknowns + more, base - gains[-1], False, why))
     return gains, table
 
@@ -187,7 +188,8 @@ def _chosen(
             unknowns + _UNKNOWNS * sum(kind),
             criterion[kind],
             kind == best,
-            f"χ² {chi2[kind] - chi2[_NONE]:+.3g} for {_UNKNOWNS * sum(kind):+d} unknowns (refitted)"
+            f"χ² {chi2[kind] - chi2[_NONE]:+.3g} for "
+            f"{number_of(_UNKNOWNS * sum(kind), 'unknown', form='+d')} (refitted)"
             + (f"; not possible: {refused[kind]}" if kind in refused else ""),
         )
         for kind in _KINDS[1:]

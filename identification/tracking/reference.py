@@ -20,6 +20,7 @@ from identification.errors import FitFailed
 from identification.tracking import unscented
 from identification.tracking.unscented import LN_C3, LN_C4, STATES
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 MOST_STEPS = 600_000
 """Largest number of stored steps: 1.5 GB including the smoothed ones, ten minutes at one step per millisecond."""
@@ -223,7 +224,8 @@ class FilterpyFilter:
             action()
         except np.linalg.LinAlgError as fault:
             raise FitFailed(
-                f"{self._source}: filterpy's filter ended after {len(self._steps)} steps: its covariance is not "
+                f"{self._source}: filterpy's filter ended after {number_of(len(self._steps), 'step')}: its "
+                f"covariance is not "
                 f"positive definite ({fault}). Use the fast setting, whose filter repairs the covariance"
             ) from fault
 

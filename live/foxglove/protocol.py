@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from live.errors import InvalidRequest
-from rig_basics.texts import storable
+from rig_basics.texts import number_of, storable
 
 SUBPROTOCOLS = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 """Names of the protocol, the preferred one first; programs that offer both may accept the first only. The messages are
@@ -186,7 +186,7 @@ def parsed_request(message: str | bytes) -> Subscribe | Unsubscribe:
     """
     if isinstance(message, bytes):
         what = _READ_ONLY_BYTES.get(message[0]) if message else None
-        text = f"expected text, got {len(message)} bytes with an unknown opcode"
+        text = f"expected text, got {number_of(len(message), 'byte')} with an unknown opcode"
         raise InvalidRequest(_refusal(what) if what else text)
     try:
         parsed: Any = json.loads(message)

@@ -1,6 +1,7 @@
 "use strict";
 // Panels in words: limits, lamps, test, streams, events.
 const byId = (id) => document.getElementById(id);
+const numberOf = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 const LARGE = ["amplitude", "overspeed"];
 
 class Limits {
@@ -81,15 +82,15 @@ const CLOSED_WORDS = { timed_out: "connections without a request closed", displa
 const showHealth = (list, state) => {
   const rows = [];
   for (const [device, kinds] of Object.entries(state.losses || {})) {
-    const lost = Object.entries(kinds).filter(([, n]) => n).map(([kind, n]) => `${n} ${kind.replaceAll("_", " ")}`);
+    const lost = Object.entries(kinds).filter(([, n]) => n).map(([kind, n]) => `${n} ${(n === 1 ? kind.replace(/(?<!_ms)s$/, "") : kind).replaceAll("_", " ")}`);
     rows.push([device, lost.join(", ") || "nothing lost", lost.length > 0]);
   }
   if (state.rates) rows.push(["rates", state.rates, true]);
   if (state.disk) rows.push(["disk", `${(state.disk.written_bytes / 1e6).toFixed(1)} MB written${state.disk.slow ? ", SLOW" : ""}`, state.disk.slow]);
-  if (state.feed_dropped) rows.push(["page's feed", `${state.feed_dropped} samples left out here (the log has them)`, true]);
-  for (const [address, kinds] of Object.entries(state.connections || {})) rows.push([`from ${address}`, Object.entries(kinds).map(([kind, n]) => `${n} ${CLOSED_WORDS[kind]}`).join(", "), true]);
+  if (state.feed_dropped) rows.push(["page's feed", `${numberOf(state.feed_dropped, "sample")} left out here (the log has them)`, true]);
+  for (const [address, kinds] of Object.entries(state.connections || {})) rows.push([`from ${address}`, Object.entries(kinds).map(([kind, n]) => `${n} ${n === 1 ? CLOSED_WORDS[kind].replace("connections", "connection") : CLOSED_WORDS[kind]}`).join(", "), true]);
   if (state.dropped_viewers) rows.push(["viewers", `${state.dropped_viewers} disconnected: invalid or too many messages`, true]);
-  rows.push(["viewers", `${state.viewers}${state.missed ? `; this one missed ${state.missed} frames` : ""}`, false]);
+  rows.push(["viewers", `${state.viewers}${state.missed ? `; this one missed ${numberOf(state.missed, "frame")}` : ""}`, false]);
   replaceWhenChanged(list, JSON.stringify(rows), () => rows.flatMap(([name, words, bad]) => {
     const term = document.createElement("dt"), detail = document.createElement("dd");
     term.textContent = name; detail.textContent = words; detail.className = bad ? "bad" : "";

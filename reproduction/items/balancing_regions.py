@@ -18,6 +18,7 @@ from reproduction.items.pendulum_sets import FROM_RAD, ZETA, isotropic_rig, with
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 RATIO = 2.5
 GRID = 12  # sets along each axis of the plane
@@ -103,7 +104,7 @@ def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> 
     balanced, border = ends.name == "I", slice(GRID * GRID, None)
     inside, wrong = expected == "I", ends.name != expected
     residual = np.where(balanced, 0.0, ends.amplitude_m)
-    text = f"{len(pairs)} sets released"
+    text = f"{number_of(len(pairs), 'set')} released"
     agree = bool(np.array_equal(balanced, inside))
     elsewhere = [
         f"; S_A = {a:.2f}, S_B = {b:.2f} of S_P: {name}"
@@ -121,14 +122,15 @@ def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> 
             "Figure 3.2",
             "The borders are lines: sets close to them on both sides differ.",
             bool(np.array_equal(balanced[border], inside[border])),
-            f"{len(pairs[border])} sets {100 * _DISTANCE:g} % of S_P off AB, AD and BC: "
+            f"{number_of(len(pairs[border]), 'set')} {100 * _DISTANCE:g} % of S_P off AB, AD and BC: "
             f"{int(np.sum(balanced[border] == inside[border]))} end as their side requires",
         ),
         Claim.judged(
             "3.1",
             "Outside the rotor stays unbalanced.",
             bool(np.all(residual[~inside] > _ZERO_M)),
-            f"smallest amplitude of the {int((~inside).sum())} sets outside {1e6 * np.min(residual[~inside]):.3g} µm",
+            f"smallest amplitude of the {number_of(int((~inside).sum()), 'set')} outside "
+            f"{1e6 * np.min(residual[~inside]):.3g} µm",
         ),
         Claim.judged(
             "3.1, Table 3.4",
@@ -177,7 +179,8 @@ def series_3_3(work: Workspace) -> Reproduced:
                 "Equal first mass moments are undersized or properly oversized against any "
                 "imbalance, never improperly.",
                 fits,
-                f"{len(cases)} releases of equal pendulums against {len(SERIES)} imbalances: {reached.count('I')} end "
+                f"{number_of(len(cases), 'release')} of equal pendulums against {len(SERIES)} imbalances: "
+                f"{reached.count('I')} end "
                 f"in I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region requires",
             ),
         ),

@@ -28,6 +28,7 @@ from reproduction.items.stability_plane import ON_LINE, X_RANGE, Y_RANGE, border
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_configs import load_rig
 
 _COARSE = (42, 25)
@@ -95,7 +96,8 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
                 "4.1.4",
                 "Piecewise scheme and single pass give alike maps.",
                 sum(differ) == 0,
-                f"of {stable.size} points {differ[0]} and {differ[1]} have another verdict than ours; largest "
+                f"of {number_of(stable.size, 'point')} {differ[0]} and {differ[1]} have another verdict than "
+                f"ours; largest "
                 f"difference of multipliers {np.max(np.abs(by_pieces - ours)):.1e} and "
                 f"{np.max(np.abs(by_pass - ours)):.1e}",
             ),

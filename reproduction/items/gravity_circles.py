@@ -19,6 +19,7 @@ from dynamics.steady.singular_points import singular_points
 from reproduction.items.pendulum_sets import FROM_RAD, isotropic_rig, with_moments, without_pendulums
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
+from rig_basics.texts import number_of
 
 _RING_SCALE = 0.055  # in units of the plane
 _RINGS_AT = 0.2 + 0.45 * np.arange(5)  # of S_P; none on a border
@@ -85,21 +86,23 @@ def _ring_claims(p: RotorParameters, pairs: list[tuple[float, float]], inner: li
             "Figure 3.4",
             "Sets with equal moments have no blind spot, all others have one.",
             all((hole[i] < step[i]) == (i in equal) for i in range(len(pairs))) and apart <= 1,
-            f"{len(pairs)} sets, 720 × 720 poses each: the smallest reach of the {len(equal)} equal ones is "
+            f"{number_of(len(pairs), 'set')}, 720 × 720 poses each: the smallest reach of the {len(equal)} "
+            f"equal ones is "
             f"{1e3 * max(hole[i] for i in equal):.1e} g m, of the others {1e3 * others:.3f} g m or more",
         ),
         Claim.judged(
             "Figure 3.4",
             "The axis lies in the ring inside ABCD, and outside of it (in the blind spot or beyond the rim) elsewhere.",
             agree,
-            f"{sum(inside)} of {len(pairs)} sets are inside ABCD; poses bring the centre of gravity to the axis for "
-            f"{sum(near < wide for near, wide in zip(nearest, step, strict=True))} sets, the same ones",
+            f"{sum(inside)} of {number_of(len(pairs), 'set')} are inside ABCD; poses bring the "
+            f"centre of gravity to the axis for "
+            f"{number_of(sum(near < wide for near, wide in zip(nearest, step, strict=True)), 'set')}, the same ones",
         ),
         Claim.judged(
             "Figure 3.4",
             "A blind spot does not keep a set from balancing while the axis is not in it.",
             any(blind) and agree,
-            f"{sum(blind)} sets inside ABCD have a blind spot, and a pose of balance",
+            f"{number_of(sum(blind), 'set')} inside ABCD have a blind spot, and a pose of balance",
         ),
     )
 

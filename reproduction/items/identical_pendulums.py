@@ -28,6 +28,7 @@ from reproduction.items.switching import imperfect_curves, positions_claim, posi
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 PLAY_DEG = 1.0
 SERIES = Series(
@@ -241,7 +242,8 @@ def _switching(rows: Sequence[StartUpComparison], p: RotorParameters) -> Claim:
         "3.2.3",
         "The pendulums change places from start-up to start-up by their initial conditions.",
         0 < high < len(own) and right >= 0.9 * len(own),
-        f"{len(own) - high} of {len(own)} recorded start-ups below the border end with A below 180°, {high} above; "
+        f"{len(own) - high} of {number_of(len(own), 'recorded start-up')} below the border end with A "
+        f"below 180°, {high} above; "
         f"the model, released from the measured angles, has the side of {right}. The unstable equilibrium is "
         f"{lag:.2f}° off 0° and 180°: only a play larger than that lets both sides occur",
     )

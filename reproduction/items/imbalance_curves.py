@@ -18,6 +18,7 @@ from dynamics import RotorParameters, SteadyBranches, SteadyState, steady_branch
 from reproduction.recorded import Recorded, as_stated, recorded_points
 from reproduction.results import Claim, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace
+from rig_basics.texts import number_of
 
 MOMENT = "first moment of the imbalance S_P, g m"
 LEAST_P = 0.01
@@ -282,7 +283,7 @@ def angle_claim(place: str, rows: Sequence[StartUpComparison]) -> Claim:
         place,
         "Measured pendulum positions lie on the computed curves.",
         p > LEAST_P and _settled(rows),
-        f"{len(rows)} start-ups, two angles each: χ² {chi2:.1f} on {count}, p = {p:.2f}, largest "
+        f"{number_of(len(rows), 'start-up')}, two angles each: χ² {chi2:.1f} on {count}, p = {p:.2f}, largest "
         f"{np.max(np.abs(z)):.1f} standard deviations",
     )
 

@@ -21,6 +21,7 @@ from reproduction.items.slips import Ends, draw_ends, ends_counted, released, sl
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 LIGHT, HEAVY = 1e-3, 0.1
 """Pendulum damping, N m s/rad: the rig's, and one at which Type I is stable directly above resonance."""
@@ -235,8 +236,8 @@ def _improper_claims(work: Workspace, bench: SweepRig, maps: list[_Map]) -> tupl
             "3.1",
             "Undersized pendulums lose no singular point at any speed or damping.",
             missing == 0,
-            f"{len(tried)} pairs of ζ = 0 … 5 and Ω = 0.3 … 3: all four points of Types II and III there "
-            f"{'always' if missing == 0 else f'but {missing} times'} (S_A + S_B < S_P)",
+            f"{number_of(len(tried), 'pair')} of ζ = 0 … 5 and Ω = 0.3 … 3: all four points of Types II and III there "
+            f"{'always' if missing == 0 else f'but at {missing}'} (S_A + S_B < S_P)",
         ),
         _one_type(maps),
     )
@@ -249,7 +250,7 @@ def _one_type(maps: list[_Map]) -> Claim:
         "3.1",
         "At most one type of singular point is stable.",
         several == 0,
-        f"{size} points of both maps: two types stable at {several}; none at "
+        f"{number_of(size, 'point')} of both maps: two types stable at {several}; none at "
         + ", ".join(f"{100 * own:.0f} % (c34 = {one.c34:g} N m s/rad)" for own, one in zip(none, maps, strict=True)),
     )
 
@@ -270,7 +271,8 @@ def _slip_claims(bench: SweepRig, at: Array, ends: Ends, number: str) -> tuple[C
             "3.1, open",
             f"Where a singular point is stable a release from 0° and 180° ends in it ({bench.case.region}).",
             bool(np.all(reach[~bare])),
-            f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same"
+            f"of {number_of(int((~bare).sum()), 'release')} {int(reach.sum())} do, "
+            f"{int((slips & ~bare).sum())} slip all the same"
             + (f": {slip_rates_text(ends, ~bare, at[:, 1])}" if np.any(slips & ~bare) else ""),
         ),
     )

@@ -22,6 +22,7 @@ from reproduction.items.imbalance_curves import (
 )
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
+from rig_basics.texts import number_of
 
 MASSES_KG = (0.019, 0.037, 0.055)
 MAIN_KG = 0.037
@@ -180,7 +181,8 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
                 "Figure 3.12",
                 "Below resonance the pendulums stay together, wherever the balancing area lies.",
                 worst < 3 and len(regions) == 3,
-                f"{len(rows)} start-ups, S_P = {1e3 * rows[0].moment_kg_m:g} … {1e3 * rows[-1].moment_kg_m:g} g m "
+                f"{number_of(len(rows), 'start-up')}, S_P = {1e3 * rows[0].moment_kg_m:g} … "
+                f"{1e3 * rows[-1].moment_kg_m:g} g m "
                 f"({', '.join(sorted(regions))}): apart by {max(abs(math.degrees(g)) for g, _ in apart):.3f}° at most, "
                 f"{worst:.1f} standard deviations",
             ),
@@ -206,7 +208,7 @@ def _closed_form(p: RotorParameters, found: SteadyBranches, ratio: float) -> Cla
         "3.1",
         "The angle of Type III obeys sin(θ + φ_H) = −(S_T/S_P) sin φ_H.",
         worst < 1e-9,
-        f"at {len(branch.values)} values of S_P the sides differ by {worst:.0e} at most",
+        f"at {number_of(len(branch.values), 'value')} of S_P the sides differ by {worst:.0e} at most",
     )
 
 

@@ -23,6 +23,7 @@ from reproduction.items.slips import Ends, draw_ends, ends_counted, released, sl
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -198,7 +199,7 @@ def _claims(
             "4.4, conclusions",
             "Where Type I is unstable another type is stable instead.",
             not bool(np.any(unbalanced & ~replaced)) and not bare_map.any(),
-            f"nothing at all is stable at {100 * np.mean(bare_map):.0f} % of {grid.size} points: Ω = "
+            f"nothing at all is stable at {100 * np.mean(bare_map):.0f} % of {number_of(grid.size, 'point')}: Ω = "
             + "; ".join(f"{bands} (ζ = {zeta})" for zeta, bands in rows.items()),
         ),
         Claim(
@@ -212,7 +213,8 @@ def _claims(
             "open",
             "Where something is stable a release from 0° and 180° ends in it.",
             bool(np.all(reach[~bare])),
-            f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same",
+            f"of {number_of(int((~bare).sum()), 'release')} {int(reach.sum())} do, "
+            f"{int((slips & ~bare).sum())} slip all the same",
         ),
     )
 
@@ -228,6 +230,6 @@ def _mean_torque_claim(p: RotorParameters, three: NDArray[np.bool_]) -> Claim:
         "The closed condition of loss, with the mean of 1/D over both directions, predicts where "
         "orbits of Type III exist.",
         agree > 0.98,
-        f"the search finds them, and finds none, as the condition predicts at {100 * agree:.1f} % of {three.size} "
-        f"points; of the others {int(np.sum(three & ~expected))} have one that it denies",
+        f"the search finds them, and finds none, as the condition predicts at {100 * agree:.1f} % of "
+        f"{number_of(three.size, 'point')}; of the others {int(np.sum(three & ~expected))} have one that it denies",
     )

@@ -26,6 +26,7 @@ from dynamics.steady.steady_state import SteadyState
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_configs import load_rig
 
@@ -280,7 +281,8 @@ def type_three(work: Workspace) -> Reproduced:
                 "4.4, chapter 5",
                 f"Where Type I is not stable, Type III is (ζ = {zeta:g}).",
                 "holds" if share > 0.999 else "holds in part" if share > 0.05 else "does not hold",
-                f"of {int(unstable.sum())} points of the plane at which Type I is unstable, III is stable at "
+                f"of {number_of(int(unstable.sum()), 'point')} of the plane at which Type I is unstable, III is "
+                f"stable at "
                 f"{100 * share:.1f} %; both are stable at {100 * both:.1f} % of the plane",
             )
         )

@@ -19,6 +19,7 @@ from dynamics.steady.whirl import circular_whirl
 from reproduction.items.pendulum_sets import isotropic_rig, with_moments
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
+from rig_basics.texts import number_of
 
 _ZETA = 0.05
 _REVOLUTIONS = 60
@@ -172,7 +173,8 @@ def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
         "(3-17) to (3-20)",
         "Singular points fulfil the four equations as printed.",
         lacking < 1e-9 and turning < 1e-9,
-        f"{count} points of all types: torques vanish within {turning:.0e} S_P |z|; of the forces {lacking:.3f} ω² S_P "
+        f"{number_of(count, 'point')} of all types: torques vanish within {turning:.0e} S_P |z|; of the "
+        f"forces {lacking:.3f} ω² S_P "
         f"is left (of (3-13), where the term stands, {with_imbalance:.0e})",
     )
 

@@ -32,6 +32,7 @@ from reproduction.recorded import Recorded, as_stated, recorded_points
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 RECORDED_RATIO = 19.5
 RECORDED = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0, 1.1, 1.5, 1.75, 2.15, 2.6, 3.0)
@@ -170,7 +171,7 @@ def vibration_3_23(work: Workspace) -> Reproduced:
                 "Figure 3.23",
                 "Measured and computed vibration agree.",
                 far < 0.005,
-                f"{len(own)} settled recordings with a shift: α within {100 * far:.2f} %; without a shift "
+                f"{number_of(len(own), 'settled recording')} with a shift: α within {100 * far:.2f} %; without a shift "
                 f"α = {rows[0].alpha:.1e}",
             ),
         ),
@@ -209,13 +210,13 @@ def positions_3_24(work: Workspace) -> Reproduced:
                 "Figure 3.24",
                 "Measured relative positions are almost those computed.",
                 max(gaps) < 1.0,
-                f"{len(rows)} recordings, the unsettled among them: within {max(gaps):.2f}°",
+                f"{number_of(len(rows), 'recording')}, the unsettled among them: within {max(gaps):.2f}°",
             ),
             Claim.judged(
                 "Figure 3.24",
                 "Measured absolute positions are those computed, but for ρ_C near 1.",
                 chance > 0.01 and all(abs(row.shift - 1) < 0.15 for row in rows if not row.settled),
-                f"{len(own)} settled recordings: χ² {chi2:.1f} on {z.size}, p = {chance:.2f}; not settled "
+                f"{number_of(len(own), 'settled recording')}: χ² {chi2:.1f} on {z.size}, p = {chance:.2f}; not settled "
                 f"within 90 s: ρ_C = {open_ones}",
             ),
             _indifferent(p, found, friction),

@@ -16,6 +16,7 @@ from dynamics.equations.parameters import RotorParameters
 from reproduction.items.pendulum_sets import FROM_RAD
 from reproduction.results import Verdict
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000
@@ -83,7 +84,7 @@ def slip_verdict(ends: Ends, bare: NDArray[np.bool_]) -> Verdict:
 def ends_counted(ends: Ends, bare: NDArray[np.bool_]) -> str:
     """Return the ends of releases without a stable state as text."""
     slip, turn, swing = (int(np.sum(bare & (ends.name == name))) for name in (SLIPPING, TURNING, SWINGING))
-    text = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
+    text = f"{slip} of {number_of(int(bare.sum()), 'release')} there come to a stable slipping motion"
     text += f", {turn} turn on without a regular slip" if turn else ""
     return text + (f", {swing} go on swinging, for {MOST_REVOLUTIONS} revolutions at least" if swing else "")
 

@@ -35,6 +35,7 @@ from reproduction.items.point_sweeps import (
 )
 from reproduction.results import Claim, Panel, Reproduced, SourceTable, Verdict
 from reproduction.workspace import Workspace, numbers_of
+from rig_basics.texts import number_of
 
 _CURVES_C34 = tuple(float(c) for c in np.logspace(-5, 0, 61))
 _LINEAR_1_PER_S = 0.01  # limit of the linear part of the axis of real parts
@@ -62,7 +63,8 @@ def table_3_1(work: Workspace) -> Reproduced:
         "Table 3.1",
         "Outside ABCD Type I does not exist.",
         met == 0,
-        f"{sum(one.stable[0].size for one in outside)} places of undersized and improperly oversized sets: {met}",
+        f"{number_of(sum(one.stable[0].size for one in outside), 'place')} of undersized and improperly "
+        f"oversized sets: {met}",
     )
     grown = _grown(SweepRig.of(work, CASES[0]))
     return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim, grown))
@@ -125,7 +127,8 @@ def _made(work: Workspace, kind: str, number: str, cells: Cells) -> Reproduced:
             "Pendulum sets: S_A, S_B = " + "; ".join(f"{c.a:g}, {c.b:g} S_P ({c.region})" for c in CASES) + ".",
             f"Curves at Ω = {SHOWN_SPEED[SUB]:g} and {SHOWN_SPEED[SUPER]:g}, ζ = {SHOWN_ZETA:g}; verdicts from "
             f"Ω = {', '.join(f'{r:g}' for r in SPEEDS[SUB] + SPEEDS[SUPER])}, "
-            f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
+            f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {number_of(len(C34), 'value')} of c34 from 1e-5 "
+            f"to 1 N m s/rad.",
             "The source does not state which of a type's two solutions its sets are: set II is the one whose whirl "
             "lies further along the pendulums' moment.",
             "A cell holds where every point of the sweep agrees, in part where Ω = 0.8 or 2.5, ζ = 0.05 and c34 = "

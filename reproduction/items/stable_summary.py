@@ -29,6 +29,7 @@ from reproduction.items.point_sweeps import (
 )
 from reproduction.results import Claim, Panel, Reproduced, SourceTable, Verdict
 from reproduction.workspace import Workspace, numbers_of
+from rig_basics.texts import number_of
 
 _KINDS = ("I", "II", "III")
 _SOURCE_TABLE = {
@@ -69,7 +70,8 @@ def table_3_4(work: Workspace) -> Reproduced:
         (
             "Pendulum sets: S_A, S_B = " + "; ".join(f"{c.a:g}, {c.b:g} S_P ({c.region})" for c in CASES) + ".",
             f"Verdicts from Ω = {', '.join(f'{r:g}' for r in SPEEDS[SUB] + SPEEDS[SUPER])}, "
-            f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
+            f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {number_of(len(C34), 'value')} of c34 from 1e-5 "
+            f"to 1 N m s/rad.",
             "A function of rotor damping is taken to mean: whether the stable point exists depends on it.",
         ),
         (*(_cell(cell, sweeps, stable) for cell in _SOURCE_TABLE), *_summary(benches, stable)),
@@ -138,13 +140,15 @@ def _summary(benches: dict[str, SweepRig], stable: dict[Cell, dict[str, NDArray[
             "3.1, summary",
             "In each case there is one type of stable singular point.",
             one,
-            f"never two types at one of {size} places; at {none} none: lost, or unstable close above resonance",
+            f"never two types at one of {number_of(size, 'place')}; at {none} none: lost, or unstable close "
+            f"above resonance",
         ),
         Claim.judged(
             "3.1, summary",
             "Below resonance Type II alone is stable.",
             sub["II"] > 0 and sub["I"] + sub["III"] == 0,
-            f"stable below resonance: II at {sub['II']}, III at {sub['III']} places; the source's own Tables 3.3 and "
+            f"stable below resonance: II at {sub['II']}, III at {number_of(sub['III'], 'place')}; the "
+            f"source's own Tables 3.3 and "
             "3.4 have III",
         ),
         Claim.judged(
@@ -152,7 +156,8 @@ def _summary(benches: dict[str, SweepRig], stable: dict[Cell, dict[str, NDArray[
             "Above resonance oversized pendulums have Type III stable.",
             all(kinds["III"] > 0 and kinds["I"] + kinds["II"] == 0 for kinds in over.values()),
             "; ".join(
-                f"{region}: I at {k['I']}, II at {k['II']}, III at {k['III']} places" for region, k in over.items()
+                f"{region}: I at {k['I']}, II at {k['II']}, III at {number_of(k['III'], 'place')}"
+                for region, k in over.items()
             ),
         ),
         Claim(

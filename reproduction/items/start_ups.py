@@ -18,6 +18,7 @@ from dynamics import Pendulum, RotorParameters, locked_orbit
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 from rig_basics.units import RPM
 from studies.runs import load_runs
 
@@ -249,7 +250,7 @@ def pendulums_3_29(work: Workspace) -> Reproduced:
     locked = level(p)
     figure = draw_start_ups(
         series.scatter,
-        f"3.29: {series.scatter.count} start-ups of the pendulum balancer, from rest to 1500 rpm",
+        f"3.29: {number_of(series.scatter.count, 'start-up')} of the pendulum balancer, from rest to 1500 rpm",
         {"locked at 0° and 180° (computed)": locked, "locked where they balance (computed)": 0.0},
         ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",),
         series.std,
@@ -304,7 +305,7 @@ def zoomed_3_30(work: Workspace) -> Reproduced:
     p, series = _pendulums(work, 330)
     figure = draw_start_ups(
         series.scatter,
-        f"3.30: resting places of the pendulums closer, {series.scatter.count} further start-ups",
+        f"3.30: resting places of the pendulums closer, {number_of(series.scatter.count, 'further start-up')}",
         {},
         ("Error bars hold what all start-ups share: each encoder's zero and the lasers' gain.",),
         series.std,

@@ -20,6 +20,7 @@ from dynamics.motions.integrate import locked_state
 from dynamics.steady.mirrored_positions import Imperfections, mirrored_positions
 from reproduction.results import Claim, SourceTable
 from rig_basics.arrays import Array
+from rig_basics.texts import number_of
 
 _SHIFT_M = 25e-6
 _TORQUE_NM = 1e-5
@@ -191,7 +192,7 @@ def _friction(p: RotorParameters, speed: float) -> ImperfectionRow:
     groups = [radius[settled & (high == side)] for side in (False, True)]
     means, errors = [float(np.mean(g)) for g in groups], [float(np.std(g) / math.sqrt(max(len(g), 1))) for g in groups]
     spread = float(np.std(np.concatenate(groups)))
-    name = f"dry friction of a 2 µm arm, {sum(map(len, groups))} start-ups, scatter {1e6 * spread:.2f} µm"
+    name = f"dry friction of a 2 µm arm, {number_of(sum(map(len, groups)), 'start-up')}, scatter {1e6 * spread:.2f} µm"
     return _row(name, means[0], means[1], 3 * math.hypot(*errors))
 
 

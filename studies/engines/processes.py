@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from rig_basics.lifeline import end_with_parent
 from rig_basics.log_output import show_log_as_parent
+from rig_basics.texts import number_of
 from studies.errors import TileFailed
 from studies.study import Study
 from studies.worker import answer_tile
@@ -30,7 +31,7 @@ class Processes:
     """
 
     def __init__(self, count: int, notify: Callable[[str], None]) -> None:
-        self.name: str = f"{count} processes"
+        self.name: str = number_of(count, "process", "processes")
         self._count, self._notify = count, notify
         self._pool: ProcessPoolExecutor | None = None
         self._lifeline: Connection | None = None

@@ -10,6 +10,7 @@ import pytest
 
 from daq.drivers.labjack import wire
 from daq.items import RX, TX, DeviceEvent
+from rig_basics.texts import number_of
 from tests.daq.test_labjack import LASERS, START, S, answer, batches, events, numbers, pipeline
 from tests.daq.test_labjack_stream import OTHER, start_answer, start_command
 
@@ -192,7 +193,9 @@ def test_scans_of_missing_answers_follow_from_the_host_s_time(
     assert [event.facts for event in found] == [{"samples": lost, "span_s": span, "uncertain_samples": lost}] * (
         lost > 0
     )
-    assert [event.text for event in found] == [f"about {lost} scans lost: answers are missing"] * (lost > 0)
+    assert [event.text for event in found] == [f"about {number_of(lost, 'scan')} lost: answers are missing"] * (
+        lost > 0
+    )
 
 
 @pytest.mark.parametrize(("first", "second"), [(0x8003, 0x8004), (0xFFFF, 0x8000)])
@@ -352,5 +355,5 @@ def test_a_step_of_one_scan_may_be_a_missing_scan() -> None:
     (event,) = step_of(40.0, 1, 25_000_000, 60)
     assert event.facts == {"step_s": pytest.approx(0.025), "scans": 1}
     assert event.text.endswith(
-        "was set, or about 1 scans are missing without a report (another program reads the stream)"
+        "was set, or about 1 scan is missing without a report (another program reads the stream)"
     )

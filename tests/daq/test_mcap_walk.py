@@ -112,7 +112,7 @@ def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: P
     assert found.table.span() == (10, 30)
     assert (found.table.start.tolist(), found.table.length.tolist()) == ([len(FRONT)], [len(LOOSE)])
     unchecked = [place.text.partition(" without")[0] for place in found.unchecked]
-    assert sorted(unchecked) == ["1 data sections", "1 series of messages", "1 summaries"]
+    assert sorted(unchecked) == ["1 data section", "1 series of messages", "1 summary"]
 
 
 def test_many_messages_outside_of_chunks_are_kept_in_series_of_about_4_MiB(tmp_path: Path) -> None:
@@ -243,7 +243,7 @@ def test_metadata_are_kept_by_name(tmp_path: Path) -> None:
     data = FRONT + metadata("one", {"a": "b"}) + LOOSE + metadata("two", {"c": "d"}, ours=True) + data_end()
     found = walked(tmp_path, data + ending(data, b""))
     assert found.metadata == {"one": {"a": "b"}, "two": {"c": "d"}}
-    assert "1 metadata records" in [place.text.partition(" without")[0] for place in found.unchecked]
+    assert "1 metadata record" in [place.text.partition(" without")[0] for place in found.unchecked]
 
 
 @pytest.mark.parametrize(("size", "refused"), [(64 * 2**20, True), (64 * 2**20 - 9, False)])

@@ -133,7 +133,7 @@ def test_a_gap_of_ten_seconds_has_its_milliseconds() -> None:
     line = Line()
     line.mark(0, 0)
     line.mark(2, 10_000_000)
-    assert line.events("gap")[0].text == "1 radio frames lost within 10000 ms"
+    assert line.events("gap")[0].text == "1 radio frame lost within 10000 ms"
 
 
 def test_a_gap_before_a_frame_without_a_time_has_no_span() -> None:

@@ -685,7 +685,7 @@ def test_bytes_skipped_within_a_stream_are_counted_and_those_before_it_are_not()
     pipeline = laser()
     assert events(pipeline.feed(RX, b"\xff\xff" + data, START_NS)) == []
     (event,) = events(pipeline.feed(RX, b"\xff" + laser_bytes(counters + 5, 25 * (counters + 5)), START_NS + MS))
-    assert (event.kind, event.facts, event.text) == ("damage", {"bytes": 1}, "1 bytes skipped to find the next block")
+    assert (event.kind, event.facts, event.text) == ("damage", {"bytes": 1}, "1 byte skipped to find the next block")
     assert pipeline.losses["bytes"] == 1
 
 

@@ -180,7 +180,7 @@ def test_commands_between_two_polls_do_not_answer_the_first() -> None:
     for command in (wire.set_rpm(700), wire.set_brake(1.0), wire.firmware_version(), wire.alive()):
         line = serial()
         line.feed(TX, wire.get_values() + command + wire.get_values(), 0)
-        assert events(line.feed(RX, answer(), 0), "gap") == [("gap", "1 polls not answered", {"samples": 1})]
+        assert events(line.feed(RX, answer(), 0), "gap") == [("gap", "1 poll not answered", {"samples": 1})]
         assert line.losses["unanswered"] == 1
 
 

@@ -35,7 +35,7 @@ def test_a_sample_is_an_outlier_only_beyond_the_farthest_that_chance_has(far: fl
     signal, noise = ring_down(np.random.default_rng(11))
     noise[9000] = far * SIGMA
     fit = fit_ring_down(TIME, signal + noise)
-    assert len([w for w in fit.warnings if w.startswith("1 samples that no noise explains")]) == count
+    assert len([w for w in fit.warnings if w.startswith("1 sample that no noise explains")]) == count
     assert len(fit.warnings) == count
 
 

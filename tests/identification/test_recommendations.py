@@ -148,7 +148,7 @@ def test_accuracies_without_comparison_or_true_error_are_undecided() -> None:
     assert (one.setting, one.text) == (
         None,
         "motion: no recommendation, only accuracy 1e-08 was measured; a peer at least as exact is up to 1.7 times as "
-        "fast (1 of 1 rows)",
+        "fast (1 of 1 row)",
     )
     (unknown,) = recommended_accuracies([measured(1e-3, 1.0, None), measured(1e-6, 1.2, 1e-9)])
     assert unknown.setting is None

@@ -47,7 +47,7 @@ def test_a_turn_that_was_not_counted_is_counted() -> None:
     run = PASSAGE.run()
     fit = fit_run_up_run(with_marks(run, np.delete(run.mark_time_s, 40)))
     assert_covers(PASSAGE, fit)
-    assert any("1 turns were not counted (corrected)" in warning for warning in fit.warnings)
+    assert any("1 turn was not counted (corrected)" in warning for warning in fit.warnings)
 
 
 @pytest.mark.parametrize("step_s", [0.05, -0.05])

@@ -11,11 +11,10 @@ import pytest
 
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.guided_tests.runner import TestDone
-from rig_cli.guided_test_result import result_sentence
+from rig_cli.guided_test_result import against_plan, result_sentence
 from rig_cli.last_sentence import (
     check_sentence,
     identify_sentence,
-    number_of,
     predict_sentence,
     validation_sentence,
 )
@@ -129,8 +128,26 @@ def test_the_sentence_is_the_last_line_of_a_prediction_and_not_in_its_json(capsy
 
 def test_a_ring_down_ends_with_frequency_and_damping(tmp_path: Path) -> None:
     log = resting_rotor(tmp_path / "pluck.mcap")  # 19.2 rad/s, decay 0.4 1/s
-    expected = "ring-down-x done: f1 = 3.056 Hz, ζ1 = 2.08 %; 5.0 s with 5000 samples recorded, nothing lost."
-    assert result_sentence(TestDone("ring-down-x", log, {})) == expected
+    found = result_sentence(TestDone("ring-down-x", log, {}))
+    assert found.startswith("ring-down-x done: f1 = 3.056 Hz, ζ1 = 2.08 % (± ")
+    assert found.endswith(" % of it), as good as planned; 5.0 s with 5000 samples recorded, nothing lost.")
+
+
+@pytest.mark.parametrize(
+    ("share", "words"), [(0.01, "as good as planned"), (0.03, "3 times as uncertain as planned (1 %)")]
+)
+def test_an_uncertainty_is_compared_with_the_planned_one(share: float, words: str) -> None:
+    assert against_plan(share, 0.01) == words
+
+
+def test_ctrl_c_ends_the_evaluation_and_keeps_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    log = resting_rotor(tmp_path / "pluck.mcap")
+    monkeypatch.setattr("daq.signals.run.load_run", interrupt)
+    found = result_sentence(TestDone("ring-down-x", log, {}))
+    assert "no quick result (interrupted, the log is complete); 5.0 s with 5000 samples recorded" in found
 
 
 def test_a_test_without_a_quick_result_ends_with_what_was_recorded(tmp_path: Path) -> None:
@@ -139,11 +156,7 @@ def test_a_test_without_a_quick_result_ends_with_what_was_recorded(tmp_path: Pat
     recorded = "60.0 s with 24000 samples recorded, nothing lost."
     settled = {"settled": "false", "why": "angles drift"}
     assert result_sentence(TestDone("point-B", log, settled)) == f"point-B done: not settled (angles drift); {recorded}"
-    assert result_sentence(TestDone("run-up", log, {})) == f"run-up done: {recorded}"
+    assert result_sentence(TestDone("slow-roll", log, {})) == f"slow-roll done: {recorded}"
     early = result_sentence(TestDone("run-up", log, {}, missed="the top speed"))
     assert early == f"run-up did not reach its end: the top speed; {recorded}"
     assert "no quick result" in result_sentence(TestDone("ring-down-x", tmp_path / "no.mcap", {}))
-
-
-def test_plural_forms() -> None:
-    assert [number_of(n, "log") for n in (0, 1, 2)] == ["0 logs", "1 log", "2 logs"]

@@ -132,9 +132,11 @@ def test_an_unreadable_log_of_a_folder_keeps_no_other_from_being_drawn(
 ) -> None:
     folder = folder_of(tmp_path, log)
     (folder / "a-broken.mcap").write_bytes(b"no log")
-    answer = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
+    answer = plotted(capsys, "bode", folder, "-o", tmp_path / "out")
     assert len(answer["figures"]) == 1
     assert "a-broken.mcap" in answer["not_drawn"][0]["reason"]
+    named = plotted(capsys, "bode", folder / "a-broken.mcap", log, "-o", tmp_path / "named", code=2)
+    assert len(named["figures"]) == 1
 
 
 def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,7 +157,7 @@ def point(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("kind", ["slip", "multipliers"])
+@pytest.mark.parametrize("kind", ["slip", "multipliers", "map"])
 def test_a_figure_of_all_logs_shows_those_of_a_folder_that_it_can(
     kind: str, point: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

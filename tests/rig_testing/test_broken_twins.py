@@ -308,7 +308,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
         lambda: with_pipeline(RotorLink, shares_a_count([])),
         "differs in sequence",
     ),
-    "short reads dropped": ("split", lambda: with_pipeline(RotorLink, drops_short_reads), "reads of 1 bytes"),
+    "short reads dropped": ("split", lambda: with_pipeline(RotorLink, drops_short_reads), "reads of 1 byte"),
     "a crash on garbage": ("garbage", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError: 'unknown frame'"),
     "losses dropped": ("garbage", lambda: with_pipeline(RotorLink, drops_losses), "no loss was counted"),
     "one loss too many": ("damage", lambda: with_pipeline(RotorLink, miscounts), "claims to count exactly"),

@@ -20,6 +20,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
 from daq.errors import DeviceError, LinkLost
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -95,7 +96,8 @@ def map_process_data(
         raise DeviceError(
             f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed "
             f"(6040h, {profile.target:04X}h), {cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, "
-            f"{profile.actual:04X}h), 16 and {profile.bits} bits, both of transmission type 255. Set the drive so with "
+            f"{profile.actual:04X}h), 16 and {number_of(profile.bits, 'bit')}, both of transmission type "
+            f"255. Set the drive so with "
             "its maker's tool"
         ) from error
 

@@ -17,6 +17,7 @@ from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
+from rig_basics.texts import number_of
 
 _AGAIN_NS = 1_000_000_000
 
@@ -102,7 +103,7 @@ class DrivePipeline:
     def _short(self, frame: slcan.CanFrame) -> DeviceEvent:
         """Return the event about a report that is too short for statusword and speed; reported once."""
         self.complaint = (
-            f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
+            f"its reports (TPDO1) have {number_of(len(frame.data), 'byte')}; statusword and actual speed are "
             f"{self._profile.size}. Look at the drive's mapping (1A00h)"
         )
         return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})

@@ -20,6 +20,7 @@ from daq.drivers.cia406.settings import Encoder, EncoderBus
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.transports import slcan
 from daq.virtual_rig.world import DeviceClock, World
+from rig_basics.texts import number_of
 
 _OFF = 1 << 31  # bit of a PDO's identifier
 _LATEST_REPORTS_S = 0.05  # longest pause of the simulation after which reports are sent afterwards, rig s
@@ -297,7 +298,7 @@ class SimulatedEncoders(FarEnd):
 
     def _of_number(self, number: int) -> SimulatedEncoder:
         if number > len(self.encoders):
-            raise ValueError(f"this device has {len(self.encoders)} encoders, no number {number}")
+            raise ValueError(f"this device has {number_of(len(self.encoders), 'encoder')}, no number {number}")
         return self.encoders[number - 1]
 
     def power(self, on: bool, now_s: float) -> None:

@@ -18,6 +18,7 @@ from daq.drivers.cia406 import wire
 from daq.drivers.cia406.settings import Encoder, EncoderBus
 from daq.errors import DeviceError, LinkLost
 from rig_basics.ignoring import ignoring
+from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
@@ -132,7 +133,9 @@ def _set_mapping(objects: Changes) -> int:
             _log.info("mapping not accepted, so that of the encoder is used: %s", error)
             objects.write(cia301.TPDO1_MAPPING, 0, len(mapped), 1)
             return offset
-        shown = " + ".join(f"{entry >> 16:04X}h sub {entry >> 8 & 0xFF}, {entry & 0xFF} bits" for entry in mapped)
+        shown = " + ".join(
+            f"{entry >> 16:04X}h sub {entry >> 8 & 0xFF}, {number_of(entry & 0xFF, 'bit')}" for entry in mapped
+        )
         raise DeviceError(
             f"{error}. Its report TPDO1 contains {shown or 'nothing'}: expected the position (6004h, 32 bits) at a "
             "whole byte. Map it with the maker's tool"

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
 from rig_configs.roles import Role, RotorPhase
 
@@ -122,7 +123,7 @@ class EncoderBus(RotorNodeSettings):
             if encoder.zero_counts >= self.counts_per_revolution:
                 raise ValueError(
                     f"{encoder.name}_zero_counts = {encoder.zero_counts}: expected less than a revolution, "
-                    f"{self.counts_per_revolution} counts"
+                    f"{number_of(self.counts_per_revolution, 'count')}"
                 )
         if not self.sync and 1000 % self.rate_Hz:
             raise ValueError(f"rate_Hz = {self.rate_Hz}: without sync its period must be whole milliseconds")
@@ -131,6 +132,7 @@ class EncoderBus(RotorNodeSettings):
         if self.rate_Hz > min(line, bus):
             what = f"baud = {self.baud}" if line < bus else f"bitrate = {self.bitrate}"
             raise ValueError(
-                f"rate_Hz = {self.rate_Hz}: {what} carries {min(line, bus)} samples a second of {len(nodes)} encoders"
+                f"rate_Hz = {self.rate_Hz}: {what} carries {number_of(min(line, bus), 'sample')} a second of "
+                f"{number_of(len(nodes), 'encoder')}"
             )
         return self

@@ -27,6 +27,7 @@ from daq.drivers.cia406.sync_origin import SyncOrigin
 from daq.drivers.cia406.synchronous import SilentEncoders, SyncSchedule, SyncTimes
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
+from rig_basics.texts import number_of
 
 Items = Iterator[Batch | DeviceEvent]
 
@@ -189,7 +190,8 @@ class EncoderPipeline:
         if not refused:
             return "it gives no position"
         return (
-            f"the adapter has refused {refused} lines since the last answer, so they did not go out. It was reset, or "
+            f"the adapter has refused {number_of(refused, 'line')} since the last answer, so they did not go "
+            f"out. It was reset, or "
             "no node acknowledges them: look at its supply, the bus and its termination, and open the rig again"
         )
 
@@ -207,7 +209,9 @@ class EncoderPipeline:
     def _paused_for(self) -> Items:
         paused, self._paused = self._paused, 0
         if paused:
-            text = f"{paused} samples not taken: the host waited for answers, or was busy, and sent no SYNC"
+            text = (
+                f"{number_of(paused, 'sample')} not taken: the host waited for answers, or was busy, and sent no SYNC"
+            )
             facts = {"unsampled": paused, "span_s": paused * self._period_ns * 1e-9}
             yield DeviceEvent("gap", self._device, text, facts)
 
@@ -241,7 +245,10 @@ class EncoderPipeline:
         raw = wire.position(frame.data, self._offsets[name])
         wrong = ""
         if raw is None:
-            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES + self._offsets[name]}"
+            wrong = (
+                f"a report of {number_of(len(frame.data), 'byte')}, expected "
+                f"{wire.POSITION_BYTES + self._offsets[name]}"
+            )
         elif raw >= self._positions[name]:
             wrong = f"position {raw}, expected less than {self._positions[name]}"
         elif self._watches[name].restarted:
@@ -332,7 +339,8 @@ class EncoderPipeline:
         before = self.losses["reports"]
         self.losses["reports"] = sum(timer.missing for timer in self._timers.values())
         if (missing := self.losses["reports"] - before) and name != "a":  # those of A are missing samples
-            text = f"{missing} reports of {self._watches[name].name} are missing"
+            whose = self._watches[name].name
+            text = number_of(missing, f"report of {whose} is missing", f"reports of {whose} are missing")
             yield DeviceEvent("gap", self._device, text, {"reports": missing})
         for instant, values in found:
             if name == "shaft":
@@ -357,7 +365,7 @@ class EncoderPipeline:
         if lost:
             span_s = lost * self._period_ns * 1e-9
             facts = {"samples": lost, "span_s": span_s, "time_ns": time_ns}
-            yield DeviceEvent("gap", self._device, f"{lost} samples lost", facts)
+            yield DeviceEvent("gap", self._device, f"{number_of(lost, 'sample')} lost", facts)
         flags = channels.ENCODER_FAULT_A * self._watches["a"].faulty
         flags |= channels.ENCODER_FAULT_B * self._watches["b"].faulty
         sequence = np.array([instant.number], np.int64).astype(np.uint32)

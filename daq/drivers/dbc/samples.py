@@ -15,6 +15,7 @@ from daq.drivers.dbc.positions import LATE_NS, Placed, Positions, Stamps
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 NEW_RULES = 7
 """Rules from which frames wait that their number alone does not place, and a silent bus is no silent sensor."""
@@ -186,7 +187,7 @@ class LaserStream:
             facts: dict[str, Any] = {"samples": samples, "span_s": span_s}
             if about:
                 facts["uncertain_samples"] = samples
-            text = f"{about}{frames} frames of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
+            text = f"{about}{number_of(frames, 'frame')} of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
             out.append(DeviceEvent("gap", self._device, text, facts))
         return [*out, *self._restarts(placed)]
 
@@ -203,7 +204,10 @@ class LaserStream:
         if not placed.doubtful:
             return []
         self._losses["doubtful_frames"] += placed.doubtful
-        text = f"{placed.doubtful} frames of {self.message.name} dropped: their number or time cannot be right"
+        text = (
+            f"{number_of(placed.doubtful, 'frame')} of {self.message.name} dropped: their number or time "
+            f"cannot be right"
+        )
         return [DeviceEvent("damage", self._device, text, {"frames": placed.doubtful})]
 
 

@@ -20,6 +20,7 @@ from daq.drivers.dbc.samples import NEW_RULES, LaserStream
 from daq.drivers.dbc.settings import CanSensors
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.slcan import FrameBlock, LineDecoder, first_line_end
+from rig_basics.texts import number_of
 
 Items = list[Batch | DeviceEvent]
 
@@ -71,7 +72,7 @@ class CanPipeline:
         block = self._lines.feed_block(data)
         if block.damaged:
             self.losses["damaged_lines"] += block.damaged
-            text = f"{block.damaged} damaged lines dropped"
+            text = f"{number_of(block.damaged, 'damaged line')} dropped"
             out.append(DeviceEvent("damage", self._device, text, {"lines": block.damaged}))
         if self._bus_counts and not len(block):  # answers of the adapter do not show that the bus carries frames
             return out
@@ -107,6 +108,9 @@ class CanPipeline:
             return data
         short = int(np.count_nonzero(~whole))
         self.losses["short_frames"] += short
-        text = f"{short} frames of {message.name} are shorter than the {message.size} bytes of the DBC file"
+        text = (
+            f"{number_of(short, f'frame of {message.name} is', f'frames of {message.name} are')} shorter than the "
+            f"{number_of(message.size, 'byte')} of the DBC file"
+        )
         out.append(DeviceEvent("damage", self._device, text, {"frames": short}))
         return data[whole]

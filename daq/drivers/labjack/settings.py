@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.volts import RANGES_V
+from rig_basics.texts import number_of
 from rig_configs.device import DeviceSettings, DisplacementTable
 from rig_configs.roles import OtherQuantity, Role, RotorPhase
 from rig_configs.table import Finite, NotNegative, Positive, RigTable
@@ -152,8 +153,9 @@ class LabJack(DeviceSettings):
         samples = self.scan_rate_Hz * len(inputs)
         if samples > MOST_SAMPLES_PER_S:
             raise ValueError(
-                f"{len(inputs)} inputs at {self.scan_rate_Hz:g} Hz are {samples:.0f} samples a second, expected at "
-                f"most {MOST_SAMPLES_PER_S}: set scan_rate_Hz to {MOST_SAMPLES_PER_S / len(inputs):.0f} or less"
+                f"{number_of(len(inputs), 'input')} at {self.scan_rate_Hz:g} Hz are {samples:.0f} samples a second, "
+                f"expected at most {MOST_SAMPLES_PER_S}: "
+                f"set scan_rate_Hz to {MOST_SAMPLES_PER_S / len(inputs):.0f} or less"
             )
         axes = [laser.topic for laser in self.lasers.values()]
         if len({*axes}) < len(axes):

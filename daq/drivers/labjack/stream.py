@@ -26,6 +26,7 @@ from daq.drivers.labjack.scans import Counts, ScanCutter, have_no_value
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.volts import VoltScale, nominal
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 BUFFER_BYTES = 32_768
@@ -113,7 +114,10 @@ class LabJackPipeline:
         out: Items = []
         if found.skipped_bytes:
             self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that do not belong to a message"
+            foreign = number_of(
+                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
+            )
+            text = f"{foreign} to a message"
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         for message in found.messages:
             if message.number == wire.ERROR_NUMBER:
@@ -170,7 +174,7 @@ class LabJackPipeline:
         read = wire.parse_stream(message.body)
         if read is None:
             self.losses["bytes"] += len(message.body)
-            text = f"the answer to a stream read has {len(message.body)} bytes, fewer than it states"
+            text = f"the answer to a stream read has {number_of(len(message.body), 'byte')}, fewer than it states"
             return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
         answer = message.number, read, host_ns
         if self._is_doubted(message.number, read):
@@ -283,7 +287,7 @@ class LabJackPipeline:
         lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
         if lost <= 0 or read.status == wire.Status.RECOVERING:
             return []
-        return [self._lost(lost, f"about {lost} scans lost: answers are missing", uncertain_samples=lost)]
+        return [self._lost(lost, f"about {number_of(lost, 'scan')} lost: answers are missing", uncertain_samples=lost)]
 
     def _started_again(self, started_ns: int, read: wire.StreamRead, host_ns: int) -> Items:
         """Return the event about a new stream. Its first answer gives the number of scans lost before it (estimated).
@@ -298,7 +302,10 @@ class LabJackPipeline:
             first_ns = started_ns
         between = round((first_ns - self._scan_ns) / self._period_ns) - 1
         lost = max(0, between)
-        text = f"its stream was started again: about {lost} scans lost ({lost * self._period_ns * 1e-6:.0f} ms)"
+        text = (
+            f"its stream was started again: about {number_of(lost, 'scan')} lost "
+            f"({lost * self._period_ns * 1e-6:.0f} ms)"
+        )
         is_ahead = between < 0 and self._rules >= _PLACE_RULES  # the clock goes back without a jump
         return [self._lost(lost, text, keeps_clock=is_ahead, uncertain_samples=lost)]
 
@@ -318,12 +325,14 @@ class LabJackPipeline:
         if read.status == wire.Status.RECOVERED and (is_possible or self._rules < _PLACE_RULES):
             span = f"{stated * self._period_ns * 1e-6:.1f} ms"
             self._advance(stated)
-            text = f"{stated} scans skipped by the device, whose buffer was full ({span})"
+            text = f"{number_of(stated, 'scan')} skipped by the device, whose buffer was full ({span})"
             facts = {"samples": stated, "span_s": stated * self._period_ns * 1e-9}
             return [DeviceEvent("gap", self._device, text, facts)]
         why = "more than it counts" if read.status != wire.Status.RECOVERED else f"it states {stated}, too many"
         lost = max(0, round(behind_ns / self._period_ns))
-        return [self._lost(lost, f"about {lost} scans skipped by the device: {why}", uncertain_samples=lost)]
+        return [
+            self._lost(lost, f"about {number_of(lost, 'scan')} skipped by the device: {why}", uncertain_samples=lost)
+        ]
 
     def _lost(self, lost: int, text: str, *, keeps_clock: bool = False, **facts: int) -> DeviceEvent:
         self._advance(lost)
@@ -388,7 +397,10 @@ class LabJackPipeline:
         shift = f"{-step_ns * 1e-6:.0f} ms earlier" if is_early else f"{step_ns * 1e-6:.0f} ms later"
         text = f"its scans arrive {shift} than before: the clock of the host was set"
         if scans > 0:
-            text += f", or about {scans} scans are missing without a report (another program reads the stream)"
+            text += (
+                f", or about {number_of(scans, 'scan is', 'scans are')} missing without a report (another "
+                f"program reads the stream)"
+            )
         facts = {"step_s": step_ns * 1e-9, "scans": scans}
         return [DeviceEvent("clock", self._device, text, facts)], time_ns
 

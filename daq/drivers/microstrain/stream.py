@@ -26,6 +26,7 @@ from daq.drivers.microstrain.order import SweepOrder
 from daq.drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
 from daq.drivers.microstrain.settings import MicroStrainNode
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
@@ -102,7 +103,8 @@ class MicroStrainPipeline:
         out: Items = []
         if found.skipped_bytes:
             self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that belong to no intact packet"
+            foreign = number_of(found.skipped_bytes, "byte skipped that belongs", "bytes skipped that belong")
+            text = f"{foreign} to no intact packet"
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         for packet in found.packets:
             out += self._packet(packet, host_ns)
@@ -283,7 +285,9 @@ class MicroStrainPipeline:
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
             if self.base_rssi_dBm is not None:
                 facts["rssi_dBm"] = self.base_rssi_dBm
-            out.append(DeviceEvent("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.1f} ms)", facts))
+            out.append(
+                DeviceEvent("gap", self._device, f"{number_of(missing, 'sample')} lost ({span_s * 1e3:.1f} ms)", facts)
+            )
         out.append(Batch(channels.PENDULUMS, time_ns, sequence, self._angle_columns(used, sequence, device_ns)))
         if self._quantities is not None:
             columns = {name: used[:, 2 + k].copy() for k, name in enumerate(self._settings.quantities)}

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.microstrain.rates import BASE_ADDRESS
+from rig_basics.texts import number_of
 
 Version = Literal[1, 3]
 
@@ -267,7 +268,7 @@ def parse_sweeps(payload: bytes, version: Version) -> Sweeps:
     """
     head = _HEADS[version]
     if len(payload) <= head:
-        raise ValueError(f"expected more than {head} bytes of samples, got {len(payload)}")
+        raise ValueError(f"expected more than {number_of(head, 'byte')} of samples, got {len(payload)}")
     at = 0 if version == 1 else 4  # version 3 begins with four bytes that are not used here
     mask, rate, kind = int.from_bytes(payload[at : at + 2], "big"), payload[at + 2], payload[at + 3]
     if version == 1:
@@ -280,7 +281,7 @@ def parse_sweeps(payload: bytes, version: Version) -> Sweeps:
     channels = tuple(n + 1 for n in range(16) if mask >> n & 1)
     size = VALUE_TYPES[kind].size * len(channels)
     if (len(payload) - head) % size:
-        raise ValueError(f"expected sweeps of {size} bytes, got {len(payload) - head} bytes")
+        raise ValueError(f"expected sweeps of {number_of(size, 'byte')}, got {number_of(len(payload) - head, 'byte')}")
     values = _values(payload[head:], VALUE_TYPES[kind]).reshape(-1, len(channels))
     return Sweeps(rate, int.from_bytes(payload[at + 4 : at + 6], "big"), time_ns, channels, values)
 

@@ -9,6 +9,7 @@ from daq.drivers.contract import Talk
 from daq.drivers.modbus_converter import wire
 from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.errors import DeviceError
+from rig_basics.texts import number_of
 
 _TRIES = 4
 
@@ -43,11 +44,12 @@ def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, An
         talk.clock.wait(settings.answer_s)  # the converter's pause before the first request of `control`
         return {"table": settings.table, "address": settings.address}
     heard = talk.bytes_in - before
-    came = f"{heard} bytes came, none of them that answer" if heard else "nothing came"
+    came = f"{number_of(heard, 'byte')} came, none of them that answer" if heard else "nothing came"
     if heard == _TRIES * len(request):
         came = f"as many bytes came as were sent ({heard}), as from an adapter that returns the host's own bytes,"
     raise DeviceError(
-        f"{device} on {settings.port}: no answer to a read of {count} registers from {register} on, {came} in {_TRIES} "
+        f"{device} on {settings.port}: no answer to a read of {number_of(count, 'register')} from "
+        f"{register} on, {came} in {_TRIES} "
         f"tries. Is the converter powered, its Modbus address {settings.address}, its line at {settings.baud} baud, "
-        f"parity {settings.parity}, {settings.stop_bits} stop bits, and is the register table right?"
+        f"parity {settings.parity}, {number_of(settings.stop_bits, 'stop bit')}, and is the register table right?"
     )

@@ -18,6 +18,7 @@ from daq.drivers.modbus_converter import states, wire
 from daq.drivers.modbus_converter.rotor_speed import DROP_OUT_RULES, RotorSpeed
 from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 LATEST_S = 0.5
 """Latest answer to a read after its request, rig s: an older state or speed gives no sample."""
@@ -118,7 +119,7 @@ class ConverterPipeline:
         if not count or not self._asked_once:
             return []
         self.losses["damaged_bytes"] += count
-        return [DeviceEvent("damage", self._device, f"{count} bytes outside of answers", {"bytes": count})]
+        return [DeviceEvent("damage", self._device, f"{number_of(count, 'byte')} outside of answers", {"bytes": count})]
 
     def _sent(self, request: wire.Request, data: bytes, host_ns: int) -> Items:
         out: Items = []
@@ -146,7 +147,9 @@ class ConverterPipeline:
         missing, self._missing = self._missing, 0
         if not missing:
             return []
-        return [DeviceEvent("gap", self._device, f"{missing} requests without an answer", {"samples": missing})]
+        return [
+            DeviceEvent("gap", self._device, f"{number_of(missing, 'request')} without an answer", {"samples": missing})
+        ]
 
     def _answered(self, answer: wire.Answer, host_ns: int) -> Items:
         if answer.exception:

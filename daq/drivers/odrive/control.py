@@ -16,6 +16,7 @@ from daq.drivers.repeated_command import RESTARTED, UNKNOWN, Mode, RepeatedComma
 from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
+from rig_basics.texts import number_of
 
 _REQUEST_S = 0.3  # wall s between two requests of closed-loop control: a second one interrupts it for a moment
 _BRAKE_S = 1.0  # wall s of braking without effect after which the torque is removed
@@ -61,7 +62,7 @@ class OdriveControl(RepeatedCommand):
             self._estimates = 0 if pipeline.beats else self._estimates + len(pipeline.speeds_rpm)
             missing = self._estimates * self._settings.estimates_ms // self._settings.heartbeat_ms
             if self._armed and missing >= _MOST_MISSING:
-                self._fall(f"{UNKNOWN} (no heartbeat for {self._estimates} estimates)")
+                self._fall(f"{UNKNOWN} (no heartbeat for {number_of(self._estimates, 'estimate')})")
 
     def _take(self, beat: wire.Heartbeat) -> None:
         before, self._beat, self._beat_ns = self._beat, beat, self._clock.now_ns()

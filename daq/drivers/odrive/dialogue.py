@@ -11,6 +11,7 @@ from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.errors import DeviceError
 from daq.transports import slcan
+from rig_basics.texts import number_of
 
 _REPORT_S = 2.0  # wall s for the first heartbeat and the first estimates
 _ANSWER_S, _TRIES = 0.3, 3  # wall s for an answer, and requests until it counts as missing
@@ -59,7 +60,7 @@ def _wait_for_reports(device: str, settings: Odrive, talk: Talk) -> None:
     while missing and (reply := _reply(talk, deadline)) is not None:
         missing.discard(reply)
     if "heartbeat" in missing:
-        came = f"{talk.bytes_in} bytes came, no heartbeat among them" if talk.bytes_in else "nothing came"
+        came = f"{number_of(talk.bytes_in, 'byte')} came, no heartbeat among them" if talk.bytes_in else "nothing came"
         raise DeviceError(
             f"{device} on {settings.port}: expected heartbeats of node {settings.node_id}, {came}. Is it powered, are "
             f"node number and bit rate ({settings.bitrate} bit/s) right, is the bus terminated?"

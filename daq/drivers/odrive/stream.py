@@ -13,6 +13,7 @@ from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.slcan import CanFrame
+from rig_basics.texts import number_of
 
 _JUMP_TURNS, _JUMP_S = 5.0, 1.0  # a position that differs by more than this, and this time's motion, has been reset
 
@@ -192,7 +193,7 @@ class OdrivePipeline:
 
     def _unreadable(self, what: str, data: bytes) -> list[DeviceEvent]:
         self.losses["unreadable_frames"] += 1
-        text = f"unreadable {what} of {len(data)} bytes dropped: {data.hex(' ')}"
+        text = f"unreadable {what} of {number_of(len(data), 'byte')} dropped: {data.hex(' ')}"
         return [DeviceEvent("damage", self._device, text, {"bytes": len(data)})]
 
     # --- commands ---------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
+from rig_basics.texts import number_of
 
 _ANSWER_S = (1.0, 1.5)
 """Waits for an answer after the first and after the repeated command, wall s; MASTERMV takes up to 2 s."""
@@ -248,8 +249,9 @@ def _slow_line(device: str, config: Laser, words: Sequence[str]) -> str:
         return ""
     most = config.baud / (len(words) * _BITS_PER_WORD)
     return (
-        f"{len(words)} output words at {config.rate_Hz:g} Hz need {needed:.0f} baud, devices.{device}.baud is "
-        f"{config.baud}: the sensor sends error codes instead of distances then. Set a rate of its model up to "
+        f"{number_of(len(words), 'output word')} at {config.rate_Hz:g} Hz need {needed:.0f} baud, "
+        f"devices.{device}.baud is {config.baud}: "
+        "the sensor sends error codes instead of distances then. Set a rate of its model up to "
         f"{most:.0f} Hz, or a higher baud rate in sensor and rig file"
     )
 

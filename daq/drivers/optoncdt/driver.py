@@ -14,6 +14,7 @@ from daq.drivers.plain import DisplacementDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
+from rig_basics.texts import number_of
 
 if TYPE_CHECKING:
     from daq.drivers.optoncdt.stream import LaserPipeline
@@ -64,7 +65,7 @@ class OptoNcdt(DisplacementDriver):
         code, count = max(pipeline.error_codes.items(), key=lambda found: found[1])
         meaning = self.code_meaning(code) or "not in the manuals"
         remedy = distance_words.REMEDIES.get(code)
-        note = f"in {count} samples" + (f": {remedy}" if remedy else "")
+        note = f"in {number_of(count, 'sample')}" + (f": {remedy}" if remedy else "")
         return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, note)}
 
     def code_meaning(self, code: int) -> str:

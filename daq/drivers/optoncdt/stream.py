@@ -20,6 +20,7 @@ from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock
@@ -138,7 +139,7 @@ class LaserPipeline:
             skipped += self._counted_before_first(found.skipped_first, out) - found.skipped_first
         if skipped:
             self.losses["bytes"] += skipped
-            text = f"{skipped} bytes skipped to find the next block"
+            text = f"{number_of(skipped, 'byte')} skipped to find the next block"
             out.append(DeviceEvent("damage", self._device, text, {"bytes": skipped}))
         if len(found.values):
             self._joined = True
@@ -160,7 +161,8 @@ class LaserPipeline:
             return skipped
         words = " ".join(self._decoder.words)
         text = (
-            f"{self._before_first} bytes without a block of the words {words}: the sensor sends other words, or the "
+            f"{number_of(self._before_first, 'byte')} without a block of the words {words}: the sensor sends "
+            f"other words, or the "
             "line has another baud rate"
         )
         out.append(DeviceEvent("words", self._device, text))
@@ -310,7 +312,7 @@ class LaserPipeline:
                 DeviceEvent(
                     "gap",
                     self._device,
-                    f"{lost} samples lost ({span * 1e3:.2f} ms)",
+                    f"{number_of(lost, 'sample')} lost ({span * 1e3:.2f} ms)",
                     {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])},
                 )
             )

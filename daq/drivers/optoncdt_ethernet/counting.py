@@ -6,6 +6,7 @@ from collections import deque
 from typing import Literal
 
 from daq.drivers.optoncdt_ethernet.wire import COUNTER_WRAP
+from rig_basics.texts import number_of
 
 Counts = Literal["frames", "packets"]
 
@@ -76,7 +77,8 @@ class FrameCounter:
         if self._others < _CERTAIN_STEPS:
             return ""
         if self._of_frames:
-            return f'its counter steps by 1 with each packet of about {self._frames} frames: set counts = "packets"'
+            packet = f"each packet of about {number_of(self._frames, 'frame')}"
+            return f'its counter steps by 1 with {packet}: set counts = "packets"'
         return f'its counter steps by the number of frames of each packet, about {self._frames}: set counts = "frames"'
 
     def _learn(self, meaning: int) -> None:

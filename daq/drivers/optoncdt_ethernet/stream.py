@@ -19,6 +19,7 @@ from daq.drivers.optoncdt_ethernet import distances, wire
 from daq.drivers.optoncdt_ethernet.counting import FrameCounter, LeastDelay, RateChange
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _CHECKED_RULES = 6  # from which cut packets, other frames, flags and rates, and impossible counters are recognised
@@ -120,7 +121,10 @@ class EthernetPipeline:
         out: Items = []
         if found.skipped_bytes and self._joined:
             self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
+            foreign = number_of(
+                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
+            )
+            text = f"{foreign} to a packet"
             if not self._misfits:
                 out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         if found.packets:
@@ -219,7 +223,7 @@ class EthernetPipeline:
         facts: dict[str, Any] = {"samples": lost, "span_s": span}
         if uncertain:
             facts["uncertain_samples"] = uncertain
-        text = f"{'about ' if uncertain else ''}{lost} samples {why} ({span * 1e3:.2f} ms)"
+        text = f"{'about ' if uncertain else ''}{number_of(lost, 'sample')} {why} ({span * 1e3:.2f} ms)"
         return DeviceEvent("gap", self._device, text, facts)
 
     def _rated(self, frames: int, host_ns: int) -> Items:

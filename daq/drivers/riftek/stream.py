@@ -38,6 +38,7 @@ from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 TICK_NS = 10_000
 """Unit of `device_ticks`."""
@@ -164,7 +165,10 @@ class RiftekPipeline:
         out: Items = [DeviceEvent("reply", self._device, answer.hex()) for answer in found.answers]
         if found.skipped_bytes:
             self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
+            foreign = number_of(
+                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
+            )
+            text = f"{foreign} to a packet"
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         self._verdicts += [self._decoded + place for place in found.doubted]
         self._decoded += len(found.code)
@@ -320,7 +324,7 @@ class RiftekPipeline:
                 "time_ns": int(time_ns[i]),
                 "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS,
             }
-            text = f"{lost} samples lost ({span * 1e3:.2f} ms)"
+            text = f"{number_of(lost, 'sample')} lost ({span * 1e3:.2f} ms)"
             if rows.guessed[i] or (found_late and i == 0):
                 facts["uncertain_samples"] = self._lags.uncertainty
                 text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._lags.uncertainty}"

@@ -8,6 +8,7 @@ from daq.drivers.identification import FoundDevice
 from daq.drivers.riftek.wire import FULL_SCALE
 from daq.drivers.riftek_ethernet import wire
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
+from rig_basics.texts import number_of
 
 _MOST_MM = 5000  # of a range, and of the distance to its begin
 _LEAST_SHARE = 0.9  # of results within full scale, in a packet
@@ -44,7 +45,7 @@ def words_for(data: bytes, range_mm: int, check: wire.Check) -> str:
     if len(data) < wire.PACKET_BYTES:
         results, rest = divmod(len(data) - _TAIL_BYTES, _RESULT_BYTES)
         if results > 0 and not rest and int.from_bytes(data[-4:-2], "little") == range_mm:
-            return f"a packet of {results} results: set the sensor to {wire.RESULTS} in a packet"
+            return f"a packet of {number_of(results, 'result')}: set the sensor to {wire.RESULTS} in a packet"
         return ""
     last = data[-wire.PACKET_BYTES :]
     packet = wire.parse(last)

@@ -20,6 +20,7 @@ from daq.drivers.riftek_ethernet.identity import words_for
 from daq.drivers.riftek_ethernet.order import ORDER_RULES, FirstOrder, Order, PacketOrder, Placed
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets of another one are a fault
@@ -110,7 +111,8 @@ class RiftekEthernetPipeline:
                 f"expected packets of a sensor with a range of {range_mm} mm, got {received}. "
                 "Look at the rig file, the sensor's settings and its address"
             )
-        text = f"{count} bytes skipped that belong to no packet of a sensor with a range of {range_mm} mm"
+        foreign = number_of(count, "byte skipped that belongs", "bytes skipped that belong")
+        text = f"{foreign} to no packet of a sensor with a range of {range_mm} mm"
         if received:
             text += f"; received: {received}"
         return DeviceEvent("damage", self._device, text, {"bytes": count})
@@ -126,7 +128,9 @@ class RiftekEthernetPipeline:
             self._next += lost
             span_s = lost * self._period_ns * 1e-9
             facts = {"samples": lost, "span_s": span_s}
-            out.append(DeviceEvent("gap", self._device, f"{lost} samples lost ({span_s * 1e3:.2f} ms)", facts))
+            out.append(
+                DeviceEvent("gap", self._device, f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)", facts)
+            )
         return [*out, self._samples(placed.packet, placed.host_ns)]
 
     def _identified(self, serial: int) -> Items:

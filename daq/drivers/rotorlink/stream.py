@@ -19,7 +19,8 @@ from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
 from daq.drivers.rotorlink.sequence import SequenceCounter
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, loss_words
+from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
 
 _REPEATS_RULES = 3  # rules of a log since which blocks wait for repeated ones
@@ -175,7 +176,7 @@ class NodePipeline:
         if lost:
             self.losses[what] += lost
             within = f" within {span_s * 1e3:.0f} ms" if span_s or self._rules < CHOICE_RULES else ""
-            text = f"{lost} {what.replace('_', ' ')} lost{within}"
+            text = f"{loss_words(lost, what)} lost{within}"
             out.append(DeviceEvent("gap", self._device, text, {what: lost, "span_s": span_s}))
 
     def _node_frame(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
@@ -303,7 +304,8 @@ class NodePipeline:
         out: list[DeviceEvent] = []
         if frame.counts_per_revolution != self._counts_per_revolution:
             self._contradiction = (
-                f"the node reports {frame.counts_per_revolution} counts per revolution, the rig file states "
+                f"the node reports {number_of(frame.counts_per_revolution, 'count')} per revolution, the rig "
+                f"file states "
                 f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
             )
             out.append(DeviceEvent("fault", self._device, self._contradiction))
@@ -406,7 +408,9 @@ class NodePipeline:
             self.losses["samples"] += missing
             span_s = missing * block.period_us * 1e-6
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
-            out.append(DeviceEvent("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
+            out.append(
+                DeviceEvent("gap", self._device, f"{number_of(missing, 'sample')} lost ({span_s * 1e3:.2f} ms)", facts)
+            )
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
     def _step_before(self, arrived: Arrived, first_us: int, missing: int, fresh: int) -> Step | None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import byte_stuffing
+from rig_basics.texts import number_of
 
 COUNTS_DTYPE = np.dtype("<i4")
 MAX_SAMPLES = 29
@@ -294,7 +295,7 @@ _ALL_CLASSES = _NODE_CLASSES | {kind.TYPE: kind for kind in (DongleStatus, NodeC
 
 def _checked_body(payload: bytes, limit: int) -> bytes:
     if not 6 <= len(payload) <= limit:
-        raise BadFrame("length", f"expected a payload of 6 … {limit} bytes, got {len(payload)}")
+        raise BadFrame("length", f"expected a payload of 6 … {number_of(limit, 'byte')}, got {len(payload)}")
     body = payload[:-2]
     expected, came = int.from_bytes(payload[-2:], "little"), crc16(body)
     if expected != came:
@@ -312,7 +313,7 @@ def _parse_body(body: bytes, layouts: dict[int, Any]) -> Any:
     if kind is None:
         raise BadFrame("type", f"expected a type of {sorted(map(hex, layouts))}, got {body[0]:#04x}", _skipped(body))
     if len(body) != kind.LAYOUT.size:
-        text = f"expected {kind.LAYOUT.size} bytes for {kind.__name__}, got {len(body)}"
+        text = f"expected {number_of(kind.LAYOUT.size, 'byte')} for {kind.__name__}, got {len(body)}"
         raise BadFrame("length", text, _skipped(body))
     return kind(*kind.LAYOUT.unpack(body)[1:])
 
@@ -321,7 +322,7 @@ def _parse_encoder(body: bytes) -> EncoderBlock:
     head = EncoderBlock.HEAD
     samples = body[head.size - 2] if len(body) >= head.size else 0
     if not 1 <= samples <= MAX_SAMPLES or len(body) != head.size + 8 * samples:
-        text = f"expected 1 … {MAX_SAMPLES} samples of 8 bytes, got {samples} in {len(body)} bytes"
+        text = f"expected 1 … {MAX_SAMPLES} samples of 8 bytes, got {samples} in {number_of(len(body), 'byte')}"
         raise BadFrame("length", text, _skipped(body))
     _, node, seq, first_index, node_time_us, period_us, _, flags = head.unpack_from(body)
     counts = np.frombuffer(body, COUNTS_DTYPE, offset=head.size).reshape(samples, 2)
@@ -351,7 +352,9 @@ def parse(payload: bytes) -> Frame:
         return _parse_encoder(body) if body[0] == EncoderBlock.TYPE else _parse_body(body, _ALL_CLASSES)
     body = _checked_body(payload, MAX_WRAPPED_BYTES)
     if len(body) < Wrapped.HEAD.size:
-        raise BadFrame("length", f"expected at least {Wrapped.HEAD.size} bytes for Wrapped, got {len(body)}")
+        raise BadFrame(
+            "length", f"expected at least {number_of(Wrapped.HEAD.size, 'byte')} for Wrapped, got {len(body)}"
+        )
     head, rest = Wrapped.HEAD.unpack_from(body)[1:], body[Wrapped.HEAD.size :]
     try:
         return Wrapped(*head, inner=parse_node(rest))

@@ -15,6 +15,7 @@ from daq.drivers.vesc.settings import MOST_REST_RPM, VescMotor
 from daq.drivers.vesc.stream import VescPipeline
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
+from rig_basics.texts import number_of
 
 __all__ = ["Mode", "VescControl"]
 
@@ -213,7 +214,8 @@ class VescControl(RepeatedCommand):
         if rpm and not abs(rpm) >= least:
             raise DeviceError(
                 f"drive: {rpm:g} rpm wanted, it cannot hold less than {least:.0f} rpm (min_erpm "
-                f"{self._settings.min_erpm:g} over {self._settings.pole_pairs} pole pairs): nothing was sent"
+                f"{self._settings.min_erpm:g} over {number_of(self._settings.pole_pairs, 'pole pair')}): nothing "
+                f"was sent"
             )
         if not abs(rpm) * self._settings.pole_pairs < 2**31:
             raise DeviceError(f"drive: {rpm:g} rpm wanted, which its wire cannot carry")

@@ -9,6 +9,7 @@ from daq.drivers.contract import Talk
 from daq.drivers.vesc import wire
 from daq.drivers.vesc.settings import VescMotor
 from daq.errors import DeviceError
+from rig_basics.texts import number_of
 
 _ANSWER_S = 0.5  # wall seconds
 _TRIES = 3
@@ -48,7 +49,7 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
             "pole_pairs": settings.pole_pairs,
             "timeout_s": settings.timeout_s,
         }
-    came = f"{talk.bytes_in} bytes came, none of them an answer" if talk.bytes_in else "nothing came"
+    came = f"{number_of(talk.bytes_in, 'byte')} came, none of them an answer" if talk.bytes_in else "nothing came"
     also = f", but {', '.join(heard)}" if heard else ""
     raise DeviceError(
         f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries{also}. {advice}"

@@ -13,6 +13,7 @@ from daq.drivers.following import Following, SlowingDown
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import VescMotor
 from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""
@@ -85,7 +86,7 @@ class SerialLine:
         if not found.skipped:
             return found.payloads, []
         self._losses["damaged_bytes"] += found.skipped
-        text = f"{found.skipped} damaged bytes dropped"
+        text = f"{number_of(found.skipped, 'damaged byte')} dropped"
         return found.payloads, [DeviceEvent("damage", self._device, text, {"bytes": found.skipped})]
 
     def sent(self, data: bytes) -> list[bytes]:
@@ -190,7 +191,10 @@ class VescPipeline:
         values = wire.parse_values(payload)
         if values is None:
             self.losses["unreadable_answers"] += 1
-            text = f"an answer of {len(payload)} bytes, expected at least {wire.VALUES_BYTES}: is its firmware too old?"
+            text = (
+                f"an answer of {number_of(len(payload), 'byte')}, expected at least {wire.VALUES_BYTES}: is its "
+                f"firmware too old?"
+            )
             return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
@@ -208,7 +212,11 @@ class VescPipeline:
             return self._surplus()
         lost, self._unanswered, self._polled = self._unanswered, 0, False
         self._late += lost
-        return [DeviceEvent("gap", self._device, f"{lost} polls not answered", {"samples": lost})] if lost else []
+        return (
+            [DeviceEvent("gap", self._device, f"{number_of(lost, 'poll')} not answered", {"samples": lost})]
+            if lost
+            else []
+        )
 
     def _surplus(self) -> list[DeviceEvent]:
         """Take an answer for which no poll is open. Return the event that takes a loss back, if it was late."""

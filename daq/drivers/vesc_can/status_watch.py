@@ -5,6 +5,7 @@ from __future__ import annotations
 from daq.drivers.checks import DeviceCheck
 from daq.drivers.vesc_can.settings import VescCan
 from daq.items import DeviceEvent
+from rig_basics.texts import number_of
 
 _MISSING_PERIODS, _MISSING_S = 5, 0.5  # time without a status message after which they are missing: the longer one
 _RATE_SHARE = 0.3  # permitted deviation of the rate of the status messages
@@ -65,7 +66,8 @@ class StatusWatch:
             return []
         text = "no status message for" if self.count else "no status message yet in"
         text += (
-            f" {self._answers} answers, expected {self._rate_Hz:g} a second (status_Hz). Look at its setting "
+            f" {number_of(self._answers, 'answer')}, expected {self._rate_Hz:g} a second (status_Hz). Look "
+            f"at its setting "
             "CAN Status Messages Rate 1, or set status_Hz = 0 in the rig file"
         )
         return [DeviceEvent("status", self._device, text, {"status_messages": self.count})]

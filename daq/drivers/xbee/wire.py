@@ -25,6 +25,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from rig_basics.texts import number_of
+
 UNKNOWN_16 = 0xFFFE
 
 DELIVERED = 0
@@ -211,7 +213,9 @@ def parse(data: bytes) -> ApiFrame:
         return UnusedFrame(data[0])
     size, fixed, make = _PARTS[data[0]]
     if len(data) < size or (fixed and len(data) > size):
-        raise ValueError(f"expected {size} bytes of type {data[0]:#04x}{'' if fixed else ' or more'}, got {len(data)}")
+        raise ValueError(
+            f"expected {number_of(size, 'byte')} of type {data[0]:#04x}{'' if fixed else ' or more'}, got {len(data)}"
+        )
     return make(data)
 
 

@@ -14,6 +14,7 @@ from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
 from dynamics.stability.floquet.choice import BUDGET_US, METHODS, FloquetMethod, plans
 from dynamics.stability.floquet.neutral import without_neutral
+from rig_basics.texts import number_of
 
 FINEST, COARSEST = 1e-13, 0.1
 _ROUNDING = np.finfo(float).eps
@@ -180,7 +181,7 @@ def _converged(
                 stuck = stuck + 1 if before and found.error_estimate > 0.5 * before.error_estimate else 0
             earlier, coarse = (fine - coarse if chosen.three else earlier), fine
     if found is None:
-        raise _overflow(f"{method.NAME} method, {steps} steps")
+        raise _overflow(f"{method.NAME} method, {number_of(steps, 'step')}")
     return found, spent
 
 

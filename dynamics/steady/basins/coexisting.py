@@ -18,6 +18,7 @@ from dynamics.steady.basins.slipping_orbits import SlippingOrbit, continued, sli
 from dynamics.steady.basins.turning import RevolutionMap
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+from rig_basics.texts import number_of
 
 _SCOUTS_RAD = ((0.0035, 3.1398), (1.5, 3.6), (3.0, 3.3))  # θ3, θ4 of releases that are simulated to find slipping
 _FOLLOWED, _EVALUATED = 1500, 700  # revolutions simulated, and evaluated at the end
@@ -71,10 +72,10 @@ def stable_motions(
     """
     count = len(rigs)
     if len(speeds_rad_s) != count:
-        raise OutsideDomain(f"{count} rigs need as many speeds, got {len(speeds_rad_s)}")
+        raise OutsideDomain(f"{number_of(count, 'rig needs', 'rigs need')} as many speeds, got {len(speeds_rad_s)}")
     wide = columns or max(count, 1)
     if wide < 1 or count % wide:
-        raise OutsideDomain(f"columns must divide the {count} points, got {columns!r}")
+        raise OutsideDomain(f"columns must divide the {number_of(count, 'point')}, got {columns!r}")
     done = 0
 
     def along(begin: int) -> list[StableMotions]:

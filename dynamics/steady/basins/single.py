@@ -22,6 +22,7 @@ from dynamics.steady.basins.periodic import periodic_motion, repeats
 from dynamics.steady.basins.regions import attracting_region
 from dynamics.steady.basins.slipping_orbits import slipping_orbit
 from dynamics.steady.basins.turning import RevolutionMap
+from rig_basics.texts import number_of
 
 Pair = tuple[float, float]
 
@@ -85,7 +86,8 @@ def release_ends(
         starts = np.tile(starts, (count, 1))
     if len(speeds_rad_s) != count or starts.shape != (count, 2):
         raise OutsideDomain(
-            f"{count} rigs need as many speeds and pairs of angles, got {len(speeds_rad_s)} and {starts.shape}"
+            f"{number_of(count, 'rig needs', 'rigs need')} as many speeds and pairs of angles, got "
+            f"{len(speeds_rad_s)} and {starts.shape}"
         )
     found: list[_One | str] = [""] * count
 
