@@ -21,9 +21,10 @@ HEAD = """# Misprints of the source
 <!-- Written by `python -m dynamics.derivation.misprints`; edit that module, not this page. -->
 
 The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University, 2006. Its
-printed equations are compared with the derivation from energies ([equations_of_motion.md](../theory/equations_of_motion.md)).
-Both are SymPy objects (`dynamics/derivation/source_equations.py`, `lagrange.py`), compared cell by cell. The project
-uses none of the printed equations.
+printed equations are compared with the
+[derivation from energies](../theory/equations_of_motion.md). Both are SymPy objects
+(`dynamics/derivation/source_equations.py`, `lagrange.py`), compared cell by cell. The project uses none of the printed
+equations.
 
 The text was extracted from the PDF, so a changed index or sign can in principle be an error of the extraction. This is
 unlikely for a cell that is wrong in chapter 3 and again in chapter 4, and for the swapped χ1, χ2 and the missing ω of
