@@ -1,4 +1,4 @@
-"""What a command is doing while it prints nothing: one line on a terminal after a second and a half without output.
+"""What a command is doing while it prints nothing: one line on a terminal after 1.2 s without output.
 
 Loading the program and reading logs can take longer than a person waits. A stage is printed at most once, and only if
 nothing was printed since it began: a command that is fast, or that shows its progress, prints none. Without a terminal
@@ -13,7 +13,7 @@ import time
 
 from rig_cli import streams
 
-_QUIET_S = 1.5
+_QUIET_S = 1.2
 _FIRST = "loading the program, which takes longer at the first start after an installation"
 
 
@@ -67,7 +67,7 @@ def watch_stages(arguments: list[str]) -> None:
 
 
 def begin_stage(text: str) -> None:
-    """Begin a stage, which is printed if nothing else is for a second and a half.
+    """Begin a stage, which is printed if nothing else is for 1.2 s.
 
     Args:
         text: what is done, for example "reading 3 logs"; empty: no stage.
