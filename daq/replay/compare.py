@@ -237,9 +237,6 @@ def _differing(stored: NDArray[Any], decoded: NDArray[Any]) -> NDArray[np.bool_]
     return np.ascontiguousarray(stored).view(kind) != same_kind.view(kind)
 
 
-_SINGULAR = {"are": "is", "do": "does"}  # of the verbs in texts of events
-
-
 class EventComparison:
     """Compares events by device: threads interleave devices, but the order within a device follows its bytes.
 
@@ -277,7 +274,7 @@ class EventComparison:
             made = self._again[device]
             kept = stored if self._until_ns is None else stored[: len(made)]
             pairs = min(len(kept), len(made))
-            wrong = [i for i in range(pairs) if kept[i] != made[i] and not _alike(kept[i], made[i])]
+            wrong = [i for i in range(pairs) if kept[i] != made[i]]
             if wrong:
                 firsts.append(_event_difference(wrong[0], kept[wrong[0]], made[wrong[0]]))
             lone = len(kept) - pairs
@@ -295,20 +292,6 @@ class EventComparison:
             differing += len(wrong) + lone
         first = min(firsts, key=lambda d: d.time_ns, default=None)
         return ChannelCheck(channels.EVENTS_TOPIC, live, again + self._late, compared, differing, extra, first)
-
-
-def _alike(stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> bool:
-    """Whether two events differ only in the number of the words of their text.
-
-    Earlier versions wrote "1 samples lost". Counts are also facts of an event, and compared as such.
-    """
-    texts = [_singular(str(event.get("text"))) for event in (stored, decoded)]
-    return texts[0] == texts[1] and {**stored, "text": ""} == {**decoded, "text": ""}
-
-
-def _singular(text: str) -> list[str]:
-    """Return the words of a text without plurals."""
-    return [_SINGULAR.get(word, word).removesuffix("s") for word in text.split()]
 
 
 def _event_difference(index: int, stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> FirstDifference:
