@@ -10,13 +10,10 @@ import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
-from daq.items import DeviceEvent, loss_words
-from daq.replay.compare import EventComparison
+from daq.items import loss_words
 from rig_basics.texts import number_of
 
 ROOT = Path(__file__).parents[1]
@@ -210,22 +207,3 @@ def test_a_noun_agrees_with_its_number() -> None:
 def test_a_loss_agrees_with_its_number() -> None:
     words = [loss_words(n, kind) for kind in ("radio_frames", "damaged", "x_silent_ms") for n in (1, 2)]
     assert words == ["1 radio frame", "2 radio frames", "1 damaged", "2 damaged", "1 x silent ms", "2 x silent ms"]
-
-
-@pytest.mark.parametrize(
-    ("stored", "decoded", "differing"),
-    [
-        ("1 samples lost (1.00 ms)", "1 sample lost (1.00 ms)", 0),
-        ("1 bytes skipped that do not belong to a packet", "1 byte skipped that does not belong to a packet", 0),
-        ("about 1 scans are missing", "about 1 scan is missing", 0),
-        ("1 samples lost (1.00 ms)", "2 samples lost (1.00 ms)", 1),
-        ("1 samples lost (1.00 ms)", "1 frame lost (1.00 ms)", 1),
-    ],
-)
-def test_a_log_of_an_earlier_version_with_a_fixed_noun_is_no_difference(
-    stored: str, decoded: str, differing: int
-) -> None:
-    note = {"kind": "gap", "device": "laser_x", "text": stored, "samples": 1, "time_ns": 10}
-    compared = EventComparison(cast("Any", SimpleNamespace(events=[note])), ["laser_x"], None, cut=False)
-    compared.add(DeviceEvent("gap", "laser_x", decoded, {"samples": 1}), 10)
-    assert compared.result().differing == differing
