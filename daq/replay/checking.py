@@ -72,29 +72,21 @@ def check_log(log: Log, progress: Progress | None = None) -> ReplayCheck:
     log.verify()  # before the comparison: damage determines how far it goes
     until_ns = first_hole_ns(log.missing)
     cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
-    rig = rig_of(log)
-    channels = channels_of(rig.devices)
+    channels = channels_of(rig_of(log).devices)
     comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in channels.items()}
     events = EventComparison(log, pipelines, until_ns, cut)
     share = share_of(log, progress)
-    device_of = rig.roles.device_of
-    unflagged = {device_of[topic] for topic, comparison in comparisons.items() if comparison.added}
     for _, chunk, items in decoded(log, pipelines):
         for item in items:
             if isinstance(item, Batch):
                 comparisons[item.channel.topic].add(item, chunk.host_ns)
-            elif item.kind != "suspect" or item.device not in unflagged:
+            else:
                 events.add(item, chunk.host_ns)
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
     recorded_by = decoder_of(log)
-    notes = [*_of_decoders(recorded_by), *_notes(log, set(pipelines), set(channels), until_ns, rows)]
-    notes += [
-        f"not compared, the version that recorded the log did not write it: {', '.join(comparison.added)} of {topic}"
-        for topic, comparison in comparisons.items()
-        if comparison.added
-    ]
-    return ReplayCheck(rows, until_ns, tuple(notes), recorded_by, DECODER)
+    notes = (*_of_decoders(recorded_by), *_notes(log, set(pipelines), set(channels), until_ns, rows))
+    return ReplayCheck(rows, until_ns, notes, recorded_by, DECODER)
 
 
 def first_hole_ns(missing: list[Missing]) -> int | None:
