@@ -177,7 +177,7 @@ def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> d
 
 
 def _value(text: str) -> Any:
-    """Decode a JSON value of a summary; plain text of an older log is returned unchanged."""
+    """Decode a JSON value of a summary; other text is returned unchanged."""
     try:
         return json.loads(text)
     except ValueError:  # usual: plain text

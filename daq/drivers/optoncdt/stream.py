@@ -56,7 +56,7 @@ class LaserPipeline:
         self._may_be_short = distance_words.model_of(str(identity.get("name", ""))) in distance_words.SHORT_TIMESTAMP
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
-        usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it
+        usual = config.scaling or distance_words.USUAL_SCALING  # of a sensor that was not queried
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
         words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
