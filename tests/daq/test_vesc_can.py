@@ -321,7 +321,7 @@ def test_status_messages_that_are_off_are_reported_once_and_are_no_loss() -> Non
         assert not any(pipeline.losses.values())
 
 
-def test_a_start_and_a_command_of_another_node_are_events_and_a_query_is_none() -> None:
+def test_a_start_and_a_command_of_another_node_are_events_and_a_query_is_not() -> None:
     boot, to_all, query = extended(0x3917, "3630"), extended(0x3FF, "00000BB8"), extended(0x0817, "30 00 04")
     pipeline = DRIVER.pipeline("drive", controller(), {})
     pipeline.feed(TX, text(wire.simple(wire.SET_BRAKE, 23, 1)) + wire.CanCommands(23, 253).get_values() * 2, 0)
