@@ -56,7 +56,8 @@ class Shape:
 
 
 def laser(k: np.ndarray) -> dict[str, np.ndarray]:
-    return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": 25 * k.astype(np.uint64)}
+    ticks = 25 * k.astype(np.uint64)
+    return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": ticks, "flags": 0 * k}
 
 
 def make_shape(compression: Any, finished: bool, blocks: int, per_block: int, flush_every: int, chunk: int) -> Shape:

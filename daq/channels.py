@@ -9,7 +9,7 @@ Raw bytes of devices (`raw/<device>`) are protobuf messages of variable length. 
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
@@ -43,13 +43,11 @@ class Channel:
         topic: name of the channel in the log.
         schema_name: name of the protobuf message, for example ``rig.LaserSample``.
         fields: (name with unit, kind) in field order. Field numbers are 1 … 15, so that a tag is one byte.
-        later: names of the fields that logs of earlier versions lack. Their default value is 0.
     """
 
     topic: str
     schema_name: str
     fields: tuple[tuple[str, str], ...]
-    later: tuple[str, ...] = field(default=(), compare=False)
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
@@ -80,8 +78,7 @@ class Channel:
         """Convert a block of samples to messages.
 
         Args:
-            columns: values by field name; fields of `later` may be omitted. Arrays of shape (n,), or scalars that are
-                repeated n times.
+            columns: values by field name: arrays of shape (n,), or scalars that are repeated n times.
 
         Returns:
             Structured array (n,) of `dtype` with all tags set.
@@ -89,8 +86,6 @@ class Channel:
         Raises:
             ValueError: a field is missing or unknown, or the lengths differ.
         """
-        if columns.keys() != self._tags.keys():
-            columns = dict.fromkeys(self.later, 0) | dict(columns)
         if columns.keys() != self._tags.keys():
             raise ValueError(f"{self.topic}: expected the fields {self.names}, got {tuple(columns)}")
         arrays = [np.asarray(columns[name]) for name in self.names]
@@ -253,7 +248,7 @@ _LASER = (
 
 def displacement_channel(topic: str) -> Channel:
     """Return the channel of a displacement sensor: "laser/x", "laser/y", or the channel of a witness."""
-    return Channel(topic, "rig.LaserSample", _LASER, ("flags",))
+    return Channel(topic, "rig.LaserSample", _LASER)
 
 
 LASER_X = displacement_channel("laser/x")

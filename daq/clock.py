@@ -4,8 +4,7 @@ A sample of device time d reaches the host at h = offset + rate·d + delay, wher
 delayed samples lie on the lower edge of h against d. The line below all points with the least sum of distances (the
 edge of the lower convex hull at the mean time) therefore gives offset and rate, up to the constant bound of the delay.
 
-`ClockMap` follows that line causally while recording. Its output is continuous and strictly increasing. The number of
-its rules is kept in every log, so that old logs decode to the same times.
+`ClockMap` follows that line causally while recording. Its output is continuous and strictly increasing.
 `fit_line` uses a whole log and estimates the standard uncertainty of the rate.
 """
 
@@ -22,10 +21,6 @@ from numpy.typing import NDArray
 
 from daq.errors import DeviceError
 
-CLOCK_RULES = "clock_rules"
-"""Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 10
-_IN_ORDER_RULES, _STEP_RULES, AGE_RULES = 3, 4, 5
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
@@ -95,57 +90,6 @@ def compile_line() -> None:
     lower_line(points, points)
 
 
-def clock_rules(identity: Mapping[str, Any]) -> int:
-    """Return the number of the rules by which a pipeline decodes and maps its clock.
-
-    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For the others see `ClockMap`. From 6 on:
-
-    - a speed of 0 is doubted if no ramp explains it;
-    - packets of sensors on a network are compared with their counter, their time of arrival and their flags; packets
-      whose number contradicts the host's time wait for those after them;
-    - an adapter that is known to return sent frames may return a heartbeat late;
-    - late answers, missing status messages and every command of another node are events.
-
-    From 7 on:
-
-    - of several encoder nodes, the first one that sends samples is the rig's; a second one makes the choice doubtful;
-    - packets of a radio node that come late wait for their place, as soon as the node has sent one late;
-    - a braked rotor that does not slow down is a fault;
-    - results of an RF60x that wait because they are late go on waiting when the host sends a request, and have their
-      loss before them when it stops or starts the stream;
-    - bytes of an optoNCDT sensor that never gave a block are counted;
-    - a polled displacement sensor's texts without a value are named by the code of the sample, more of them are read,
-      its block checks are compared, and only refusals that last are a fault;
-    - frames of sensors on CAN wait if their counter alone does not place them; a silent bus is no silent sensor;
-    - the place of a sample in a scan is compared with the number of samples that wait in the device, and the number of
-      skipped scans with the host's time; scans missing after a late answer follow from the times of scans.
-
-    From 8 on:
-
-    - the answer of a CANopen encoder to a SYNC may come after the next one, however long the host stood still;
-    - frames of a node behind XBee modules that arrive late or twice are no restart of the node.
-
-    From 9 on:
-
-    - frames of sensors on CAN that still wait at the end of a log are decoded; if they come late, the host was late as
-      long as their counter goes on, their timestamps agree with it, or it is less than 0.1 s, unless whole cycles of
-      the counter are missing.
-
-    From 10 on:
-
-    - the start message of a node on CAN that is its first frame after the opening of the bus is no restart;
-      nor is the message by which a radio node reports before its first sample that it was switched on;
-    - a step of a node's clock, which contradicts the number of its samples, is an event, and later times are put back
-      by it;
-    - an index mark that bounces is dropped and not counted; turns that were not counted are an event;
-    - losses of an RF60x on a busy host are also found by the least delays of two seconds.
-
-    Args:
-        identity: identity of the device; if a log is decoded again, it contains the log's rules.
-    """
-    return int(identity.get(CLOCK_RULES, NEWEST_RULES))
-
-
 @dataclass(frozen=True)
 class ClockSeed:
     """State of a device clock relative to the common clock, estimated before the start of a log.
@@ -191,24 +135,22 @@ class ClockSeed:
 class ClockMap:
     """Causal map of one device clock (ns, unwrapped) to the common clock (ns since 1970).
 
+    A correction is applied at most for its time constant. Samples that are older than earlier samples do not change the
+    map. A step of the host's clock (a computer that slept, a clock that was set) starts the estimate again. After a
+    step forward the mapped time jumps; after a step back it runs at half its rate until it is right, since it never
+    steps back.
+
     Args:
         tolerance_ppm: standard uncertainty of the device's rate. The estimated rate is limited to ± 5 of them.
-        rules: 1: a correction is applied until the next read. From 2 on: it is applied at most for its time constant.
-            From 3 on: samples that are older than earlier samples do not change the map. From 4 on: a step of the
-            host's clock (a computer that slept, a clock that was set) starts the estimate again. After a step forward
-            the mapped time jumps; after a step back it runs at half its rate until it is right, since it never steps
-            back. From 5 on (AGE_RULES): reads whose samples have an unknown age do not change the map.
         seed: earlier state of the clock. Without it the first read is assumed to have no delay.
 
     Attributes:
         step_ns: step of the host's clock against the device's that the newest read has shown, ns; 0 without one.
     """
 
-    def __init__(self, tolerance_ppm: float, rules: int = NEWEST_RULES, seed: ClockSeed | None = None) -> None:
+    def __init__(self, tolerance_ppm: float, seed: ClockSeed | None = None) -> None:
         self._seed = seed
         self._limit = 5e-6 * tolerance_ppm
-        self._correct_ns = np.inf if rules == FIRST_RULES else float(_SETTLE_NS)
-        self._in_order, self._steps = rules >= _IN_ORDER_RULES, rules >= _STEP_RULES
         self._tolerance = 1e-6 * tolerance_ppm
         self._bins: deque[tuple[int, float, float, int]] = deque(maxlen=_BINS)  # bin, device ns, lag ns, reads
         self._late: list[tuple[int, float, float, int]] = []  # bins of the newest reads, if all of them are late
@@ -219,7 +161,7 @@ class ClockMap:
         self._at = 0.0  # start of the current segment of the mapped line, device ns (relative)
         self._lag = 0.0  # lag at `_at`, ns
         self._slope = 0.0  # slope of the lag, with the correction
-        self._correction = 0.0  # part of the slope that applies for the next `_correct_ns` only
+        self._correction = 0.0  # part of the slope that applies for the next `_SETTLE_NS` only
         self._line: tuple[float, float] | None = None
         self._started = self._seeded = False
         self.step_ns: int = 0
@@ -240,10 +182,10 @@ class ClockMap:
         relative = device_ns - self._device0
         ahead = relative - self._at
         lag = self._lag + self._slope * ahead
-        if ahead[-1] > self._correct_ns:  # a gap
-            lag -= self._correction * np.maximum(ahead - self._correct_ns, 0.0)
+        if ahead[-1] > _SETTLE_NS:  # a gap
+            lag -= self._correction * np.maximum(ahead - _SETTLE_NS, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
-        if learn and (relative[-1] >= self._at or not self._in_order):
+        if learn and relative[-1] >= self._at:
             self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
 
@@ -294,7 +236,7 @@ class ClockMap:
 
     def _learn(self, device: float, lag: float) -> None:
         number = int(device // _BIN_NS)
-        if self._steps and self._bins:
+        if self._bins:
             self._look_for_step(number, device, lag)
         if self._bins and self._bins[-1][0] == number:
             self._bins[-1] = _with_read(self._bins[-1], device, lag)
@@ -305,7 +247,7 @@ class ClockMap:
         self._reads += 1
         self._lateness += (abs(lag - target) - self._lateness) * max(_MEMORY, 1 / self._reads)
         ahead = device - self._at
-        here = self._lag + self._slope * ahead - self._correction * max(ahead - self._correct_ns, 0.0)
+        here = self._lag + self._slope * ahead - self._correction * max(ahead - _SETTLE_NS, 0.0)
         self._correction = max(-_MAX_SLEW, min(_MAX_SLEW, (target - here) / _SETTLE_NS))
         self._at, self._lag, self._slope = device, here, slope + self._correction
 

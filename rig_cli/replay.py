@@ -147,7 +147,14 @@ def _check_json(found: ReplayCheck) -> dict[str, Any]:
         | {"difference": row.difference, "fields": _fields_json(row), "first": vars(row.first) if row.first else None}
         for row in found
     ]
-    return {"identical": found.identical, "until_ns": found.until_ns, "notes": list(found.notes), "channels": rows}
+    return {
+        "identical": found.identical,
+        "until_ns": found.until_ns,
+        "recorded_by_decoder": found.recorded_by,
+        "decoded_by_decoder": found.decoded_by,
+        "notes": list(found.notes),
+        "channels": rows,
+    }
 
 
 def _fields_json(row: ChannelCheck) -> dict[str, Any]:

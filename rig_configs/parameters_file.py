@@ -264,7 +264,7 @@ class IdentifiedParameters:
             order = raw["covariance"]["order"]
             values = {name: _number(raw[name]["value"]) for name in order}
             matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
-            angle = raw.get("axis_angle")  # not in older files
+            angle = raw.get("axis_angle")
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
             shared = {ErrorLabel.read(text): shift for text, shift in _vectors(raw.get("shared", {})).items()}
             by_number = _vectors(raw.get("by_number", {}))

@@ -13,7 +13,6 @@ from typing import Any
 from daq.acquisition.core import Core, Keep
 from daq.acquisition.links import Links
 from daq.acquisition.recorder import Disk, Recorder
-from daq.clock import CLOCK_RULES, NEWEST_RULES
 from daq.drivers.calibrated import calibrations_of
 from daq.drivers.contract import HasClockSeed, ObservesIdentity
 from daq.drivers.devices import channels_of, make_pipelines
@@ -21,7 +20,7 @@ from daq.items import Batch
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
-from daq.version import software_version
+from daq.version import DECODER, software_version
 from rig_configs.schema import Rig
 
 
@@ -57,8 +56,8 @@ class SessionLog:
         facts = {
             "rig": self._rig.name,
             "software": software_version(),
+            "decoder": str(DECODER),
             "clock_rate": repr(self._clock.rate),
-            CLOCK_RULES: str(NEWEST_RULES),
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._clock.now_s())),
             **calibrations_of(self._rig.devices),
             **metadata,

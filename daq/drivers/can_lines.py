@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Container, Iterable
 
 from daq.channels import RX
-from daq.clock import NEWEST_RULES
 from daq.items import DeviceEvent
 from daq.transports import slcan
 from rig_basics.texts import number_of
@@ -22,7 +21,6 @@ _RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
 _LINE_ENDS = b"\r\x07"
 _AGAIN_NS = 1_000_000_000
 _KEPT_FRAMES = 64  # sent frames with which a received command is compared
-_FIRST_CONTACT_RULES = 10  # of a log, since which the first message of a node is no restart
 _HEARTBEATS, _BOOT_UP = 0x700, b"\x00"  # identifiers of CANopen heartbeats, and the first one of a node
 _MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
 
@@ -110,20 +108,16 @@ class FirstContact:
     A node sends a message when it starts. Without another node on the bus it is not acknowledged, and the node repeats
     it until the host opens its adapter. The message is then the node's first frame, and the set-up comes after it.
 
-    Args:
-        rules: of the log, see `daq.clock.clock_rules`; before 10 every start message is a restart.
-
     Attributes:
         pending: whether the bus was opened, and the node has sent nothing else since.
     """
 
-    def __init__(self, rules: int = NEWEST_RULES) -> None:
+    def __init__(self) -> None:
         self.pending: bool = False
-        self._is_new = rules >= _FIRST_CONTACT_RULES
 
     def sent(self, data: bytes) -> None:
         """Take text that the host has sent to its adapter."""
-        self.pending = self.pending or (self._is_new and b"O\r" in data)
+        self.pending = self.pending or b"O\r" in data
 
     def heard(self) -> None:
         """Take a frame of the node that is no start message."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq.channels import CHANNELS, Channel
-from daq.clock import CLOCK_RULES, CLOCK_SEED, NEWEST_RULES
+from daq.clock import CLOCK_SEED
 from daq.drivers.calibrated import calibrated
 from daq.drivers.contract import DeviceLine, Driver, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
@@ -82,14 +82,12 @@ def channels_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Channel]:
 def make_pipelines(
     devices: Mapping[str, DeviceSettings],
     identities: Mapping[str, Mapping[str, Any]],
-    rules: int = NEWEST_RULES,
     seeds: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Pipeline]:
     """Make new pipelines for all devices of a rig.
 
     Args:
         identities: identity of each device from its opening, by device ("words" of a laser, for instance).
-        rules: version of the clock maps' rules: that of the log whose bytes are decoded again.
         seeds: known state of each device's clock, by device: tables of `ClockSeed`.
 
     Raises:
@@ -97,6 +95,6 @@ def make_pipelines(
     """
     known = seeds or {}
     return {
-        name: device.pipeline({**identities.get(name, {}), CLOCK_RULES: rules, CLOCK_SEED: known.get(name)})
+        name: device.pipeline({**identities.get(name, {}), CLOCK_SEED: known.get(name)})
         for name, device in devices_of(devices).items()
     }

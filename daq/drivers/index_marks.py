@@ -14,8 +14,6 @@ from collections import deque
 from daq.items import DeviceEvent
 from rig_basics.texts import number_of
 
-MARK_RULES = 10
-"""Rules of a log (`daq.clock.clock_rules`) since which marks are examined."""
 SHORTEST_NS = 50_000_000
 """A mark that follows sooner is a bounce if the turn before was `SHORTER` times as long. To turn the rotor within this
 time after a turn so much longer, it had to be accelerated by π/t² > 1000 rad/s²: with a moment of inertia of 0.01 kg m²

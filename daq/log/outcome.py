@@ -1,8 +1,7 @@
 """Result that a guided test wrote into the summary of its log: whether it reached its end, and what was not reached.
 
-A test writes `reached` and, if that is false, `ended` with what was not reached. Logs of earlier versions have only the
-test's own condition (`rung_down`, `settled` …), and logs of aborted tests have only `ended`. A log that was ended by
-interlocks lists them in `tripped`, and every reason in `ended`.
+A test writes `reached` and, if that is false, `ended` with what was not reached. Logs of aborted tests have only
+`ended`. A log that was ended by interlocks lists them in `tripped`, and every reason in `ended`.
 """
 
 from __future__ import annotations
@@ -17,13 +16,6 @@ if TYPE_CHECKING:
 REACHED, ENDED, TRIPPED = "reached", "ended", "tripped"
 TRIP = "trip"
 """Kind of the event that contains an interlock's finding and the data of the seconds before and after it."""
-_CONDITIONS = {  # conditions in logs without `reached`
-    "rung_down": "the column did not ring down",
-    "slowed_down": "the pendulums did not slow down",
-    "reached_top": "the rotor did not reach the top speed",
-    "reached_rest": "the rotor did not come to rest",
-    "settled": "the steady state was not reached",
-}
 _GUIDED = ("ring-down", "spin-down", "run-up", "run-down", "point-", "start-ups")
 
 
@@ -60,14 +52,7 @@ def not_reached(test: str, outcome: Mapping[str, Any]) -> str:
     ended = str(outcome.get(ENDED) or "")
     if REACHED in outcome:  # written by any guided test, also by tests of other packages
         return "" if outcome[REACHED] is True else ended.removeprefix("not reached: ") or "the test's end"
-    if not test.startswith(_GUIDED):
-        return ""
-    for condition, words in _CONDITIONS.items():
-        if outcome.get(condition) is False:
-            why = outcome.get("why")
-            return f"{words} ({why})" if why else words
-    has_condition = any(condition in outcome for condition in _CONDITIONS)
-    return f"broken off: {ended}" if ended and not has_condition else ""
+    return f"broken off: {ended}" if ended and test.startswith(_GUIDED) else ""
 
 
 def not_reached_of(log: Log) -> str:

@@ -14,7 +14,8 @@ from daq.log import Log, open_log
 from daq.log.snapshot import rig_of
 from daq.mcap.missing import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
-from daq.replay.stream import decoded, pipelines_of
+from daq.replay.stream import decoded, decoder_of, pipelines_of
+from daq.version import DECODER
 from rig_basics.texts import number_of
 
 Progress = Callable[[float], None]
@@ -29,11 +30,15 @@ class ReplayCheck:
         channels: every sample channel, then the events.
         until_ns: log time up to which the log was compared, because raw bytes are missing from there on; None for all.
         notes: limitations of the result, as sentences.
+        recorded_by: `daq.version.DECODER` of the recording; None if the log does not state it.
+        decoded_by: that of this version. If it is another one, differences are expected.
     """
 
     channels: tuple[ChannelCheck, ...]
     until_ns: int | None
     notes: tuple[str, ...]
+    recorded_by: int | None
+    decoded_by: int
 
     @property
     def identical(self) -> bool:
@@ -68,28 +73,21 @@ def check_log(log: Log, progress: Progress | None = None) -> ReplayCheck:
     log.verify()  # before the comparison: damage determines how far it goes
     until_ns = first_hole_ns(log.missing)
     cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
-    rig = rig_of(log)
-    channels = channels_of(rig.devices)
+    channels = channels_of(rig_of(log).devices)
     comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in channels.items()}
     events = EventComparison(log, pipelines, until_ns, cut)
     share = share_of(log, progress)
-    device_of = rig.roles.device_of
-    unflagged = {device_of[topic] for topic, comparison in comparisons.items() if comparison.added}
     for _, chunk, items in decoded(log, pipelines):
         for item in items:
             if isinstance(item, Batch):
                 comparisons[item.channel.topic].add(item, chunk.host_ns)
-            elif item.kind != "suspect" or item.device not in unflagged:
+            else:
                 events.add(item, chunk.host_ns)
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
-    notes = [*_notes(log, set(pipelines), set(channels), until_ns, rows)]
-    notes += [
-        f"not compared, the version that recorded the log did not write it: {', '.join(comparison.added)} of {topic}"
-        for topic, comparison in comparisons.items()
-        if comparison.added
-    ]
-    return ReplayCheck(rows, until_ns, tuple(notes))
+    recorded_by = decoder_of(log)
+    notes = (*_of_decoders(recorded_by), *_notes(log, set(pipelines), set(channels), until_ns, rows))
+    return ReplayCheck(rows, until_ns, notes, recorded_by, DECODER)
 
 
 def first_hole_ns(missing: list[Missing]) -> int | None:
@@ -123,6 +121,13 @@ def share_of(log: Log, progress: Progress | None) -> Callable[[int], None]:
             progress(min(1.0, thousandth / 1000))
 
     return report
+
+
+def _of_decoders(recorded_by: int | None) -> Iterator[str]:
+    """Yield the note that a log was recorded by other decoders than those of this version."""
+    if recorded_by != DECODER:
+        first = "an unknown decoder" if recorded_by is None else f"decoder {recorded_by}"
+        yield f"recorded by {first}, decoded again by decoder {DECODER}: differences are expected"
 
 
 def _notes(

@@ -109,9 +109,6 @@ class ChannelComparison:
         channel: the channel.
         until_ns: log time from which nothing is compared, because the log lacks raw bytes there; None for all.
         cut: True if the log's end is missing, so that raw bytes may exist without their samples.
-
-    Attributes:
-        added: fields of the present decoder that did not exist in the version that wrote the log.
     """
 
     def __init__(self, log: Log, channel: channels.Channel, until_ns: int | None, cut: bool) -> None:
@@ -120,9 +117,7 @@ class ChannelComparison:
         self._channel = channel
         self._rows = StoredRows(log, topic)
         names = set(self._rows.names)
-        later = set(self._channel.later) - names  # did not exist in the version that wrote the log
-        self.added: tuple[str, ...] = tuple(sorted(later)) if log.count(topic) else ()
-        self._lacking = tuple(sorted(names ^ set(self._channel.names) - later)) if log.count(topic) else ()
+        self._lacking = tuple(sorted(names ^ set(self._channel.names))) if log.count(topic) else ()
         self._both = [name for name in self._channel.names if name in names]
         self._live = log.count(topic)
         self._again = self._compared = self._differing = self._extra = 0

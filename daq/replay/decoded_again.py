@@ -23,7 +23,7 @@ from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of, pipelines_with
-from daq.version import software_version
+from daq.version import DECODER, software_version
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
@@ -159,6 +159,7 @@ def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
     except OSError as fault:
         raise LogError(f"{log.path}: cannot be read any more ({fault}): check the path") from fault
     facts |= {"origin": log.path.name, "origin_sha256": digest, "software": software_version()}
+    facts["decoder"] = str(DECODER)
     facts["origin_software"] = run.get("software", "unknown")
     if calibration is not None:
         facts["calibration"] = calibration.text
@@ -176,7 +177,7 @@ def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> d
 
 
 def _value(text: str) -> Any:
-    """Decode a JSON value of a summary; plain text of an older log is returned unchanged."""
+    """Decode a JSON value of a summary; other text is returned unchanged."""
     try:
         return json.loads(text)
     except ValueError:  # usual: plain text

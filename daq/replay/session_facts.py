@@ -72,7 +72,7 @@ def closing_ns(log: Log, patience: Callable[[float], float]) -> int:
 
 
 def _text(value: str) -> str:
-    """Return a text of the summary: decoded from JSON, or unchanged for a log of an earlier version."""
+    """Return a text of the summary: decoded from JSON, or unchanged if it is no JSON."""
     try:
         return str(json.loads(value))
     except (ValueError, RecursionError):  # usual: plain text

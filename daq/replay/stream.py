@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
-from daq.clock import CLOCK_RULES, FIRST_RULES, NEWEST_RULES
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import installed_of, make_pipelines
 from daq.errors import DeviceError, LogError
@@ -17,6 +17,7 @@ from rig_configs.schema import Rig
 
 Decoded = tuple[str, RawChunk, list[Batch | DeviceEvent]]
 """A device, the bytes of one read or write, and the items decoded by its pipeline."""
+_DECODER = re.compile("[1-9][0-9]{0,8}")
 
 
 def pipelines_of(log: Log) -> dict[str, Pipeline]:
@@ -34,20 +35,10 @@ def pipelines_of(log: Log) -> dict[str, Pipeline]:
     return pipelines_with(rig_of(log), identities, str(log.path), log)
 
 
-def rules_of(log: Log) -> int:
-    """Return the rules of the clock maps at the time of recording; logs without this fact use the first rules.
-
-    Raises:
-        LogError: this version does not have these rules.
-    """
-    rules = log.metadata.get("run", {}).get(CLOCK_RULES, str(FIRST_RULES))
-    valid = [str(number) for number in range(FIRST_RULES, NEWEST_RULES + 1)]
-    if rules not in valid:
-        raise LogError(
-            f"{log.path}: expected {CLOCK_RULES} {' or '.join(valid)} among its facts, got {rules!r:.80}: "
-            "it was recorded by a newer version; decode it with that one"
-        )
-    return int(rules)
+def decoder_of(log: Log) -> int | None:
+    """Return the `daq.version.DECODER` with which a log was recorded; None if its facts do not state it."""
+    number = log.metadata.get("run", {}).get("decoder", "")
+    return int(number) if _DECODER.fullmatch(number) else None
 
 
 def pipelines_with(
@@ -70,7 +61,7 @@ def pipelines_with(
     try:
         if log is None:
             return make_pipelines(installed_of(rig.devices), identities)
-        return make_pipelines(installed_of(rig.devices), identities, rules_of(log), seeds_of(log))
+        return make_pipelines(installed_of(rig.devices), identities, seeds_of(log))
     except DeviceError as fault:
         raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
 

@@ -27,7 +27,7 @@ def laser_signal(
     if samples is None:
         return (np.empty(0), np.empty(0)), shared
     displacement = samples.displacement_m
-    if "flags" in samples:  # logs of earlier versions have no flags
+    if "flags" in samples:  # imported displacements have none
         displacement = np.where(suspects(samples.flags), np.nan, displacement)
     if "device_ticks" not in samples.columns:
         return (since_start(samples.time_ns, start_s), displacement), shared

@@ -19,6 +19,7 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
 from daq.transports import slcan
+from daq.version import DECODER
 from rig_configs import load_rig
 
 START_NS = 1_700_000_000_000_000_000
@@ -134,6 +135,7 @@ def write_log(
     finish: bool = True,
     unwritten_from: int | None = None,
     flush_steps: int = 5,
+    decoder: str | None = str(DECODER),
     **what: Any,
 ) -> Path:
     """Write the log with the real pipelines; return the resulting file.
@@ -142,12 +144,14 @@ def write_log(
         falsify: called with each item's number, the item and its host time; None omits the item.
         finish: False leaves a .part.
         unwritten_from: number of the read from which on raw bytes are written without their samples.
+        decoder: fact of the log; None: it has no such fact.
         what: arguments of `reads`.
     """
     rig = load_rig("virtual")
     attachments = {"rig.json": rig.snapshot_json(), "identities.json": json.dumps(IDENTITIES).encode()}
     pipelines = make_pipelines(rig.devices, IDENTITIES)
     facts = {"test": "point-A", "rig": "virtual", "software": "0.0.1", "note": "springs changed"}
+    facts |= {} if decoder is None else {"decoder": decoder}
     count = 0
     with LogFile(path, facts, attachments, tuple(pipelines), START_NS) as log:
         for number, (device, direction, data, host_ns) in enumerate(reads(steps, **what)):

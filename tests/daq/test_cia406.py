@@ -17,7 +17,6 @@ from pydantic import ValidationError
 import rig_testing
 from daq import channels
 from daq.acquisition.session import Session
-from daq.clock import CLOCK_RULES, NEWEST_RULES
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.driver import Cia406
 from daq.drivers.cia406.far_end import SimulatedEncoders
@@ -63,9 +62,8 @@ def report(node: int, position: int) -> bytes:
 class Line:
     """A pipeline on a bus with a SYNC each 10 ms, and what it has returned."""
 
-    def __init__(self, rules: int = NEWEST_RULES, **other: Any) -> None:
-        known = {**identity(), CLOCK_RULES: rules}
-        self.pipeline = EncoderPipeline("encoders", settings(**other), known)
+    def __init__(self, **other: Any) -> None:
+        self.pipeline = EncoderPipeline("encoders", settings(**other), identity())
         self.now_ms = 0.0
         self.items: Items = []
         self.at(0, TX, b"O\r")

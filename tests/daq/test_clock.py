@@ -123,22 +123,6 @@ def test_samples_that_come_behind_newer_ones_change_nothing() -> None:
         assert mixed.map(device_ns, host_ns) == alone.map(device_ns, host_ns)
 
 
-def test_the_first_rules_are_kept_for_old_logs() -> None:
-    """The numbers behind a gap are those that the first version gave."""
-    rng = np.random.default_rng(3)
-    device_s, host_s = reads(rng, 6.0, 2e-5, 1e-3)
-    device_s[300:] += 5.0
-    host_s[300:] += 5.0
-    old, new = ClockMap(30.0, rules=1), ClockMap(30.0)
-    both = [
-        [int(clock.map(np.array([int(d * 1e9)]), int(h * 1e9))[0]) for clock in (old, new)]
-        for d, h in zip(device_s, host_s, strict=True)
-    ]
-    assert all(a == b for a, b in both[:300])
-    assert [old_ns for old_ns, _ in both[299:302]] == [3386777036, 8398466325, 8404594827]
-    assert both[-1][0] == 10949267718 != both[-1][1]
-
-
 @given(st.lists(st.integers(1, 2**17 - 1), min_size=1, max_size=50), st.integers(0, 2**18 - 1), st.data())
 def test_unwrap_continues_a_wrapping_counter(steps: list[int], start: int, data: st.DataObject) -> None:
     true = start + np.cumsum([0, *steps])

@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from daq.clock import (
-    _IN_ORDER_RULES,
-    _STEP_RULES,
-    AGE_RULES,
-    FIRST_RULES,
     ClockMap,
     ClockSeed,
     Unwrap,
-    clock_rules,
     fit_line,
     lower_line,
     steps_from,
@@ -66,26 +61,20 @@ def test_an_early_map_is_delayed_with_half_the_clock_s_rate_at_most() -> None:
     assert mapped(clock, 40.0 + 250.0 * 122, 900.0) > 100.0
 
 
-@pytest.mark.parametrize(("rules", "expected"), [(1, 50.0 - 1000.0 / 6), (2, 0.0), (3, 0.0), (4, 0.0)])
-def test_a_correction_ends_after_its_time_constant_from_the_second_rules_on(rules: int, expected: float) -> None:
-    clock = ClockMap(50.0, rules)
+def test_a_correction_ends_after_its_time_constant() -> None:
+    clock = ClockMap(50.0)
     mapped(clock, 0.0, 50.0)
     mapped(clock, 10.0)
-    assert mapped(clock, 1010.0) == pytest.approx(expected, abs=1e-4)
+    assert mapped(clock, 1010.0) == pytest.approx(0.0, abs=1e-4)
 
 
-@pytest.mark.parametrize(("rules", "same"), [(1, False), (2, False), (3, True), (4, True)])
-def test_older_samples_change_the_map_before_the_third_rules(rules: int, same: bool) -> None:
-    plain, disturbed = ClockMap(50.0, rules), ClockMap(50.0, rules)
+def test_older_samples_do_not_change_the_map() -> None:
+    plain, disturbed = ClockMap(50.0), ClockMap(50.0)
     for k in range(3):
         mapped(plain, 10.0 * k)
         mapped(disturbed, 10.0 * k)
     mapped(disturbed, 5.0, -20.0)
-    assert (mapped(plain, 40.0) == mapped(disturbed, 40.0)) is same
-
-
-def test_the_rules_of_a_log_are_those_of_its_identity_or_the_newest() -> None:
-    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [10, 1, 2]
+    assert mapped(plain, 40.0) == mapped(disturbed, 40.0)
 
 
 @pytest.mark.parametrize(("drift", "rate"), [(1e-4, 1e-4), (-1e-4, -1e-4), (1e-3, 2.5e-4), (-1e-3, -2.5e-4)])
@@ -133,10 +122,6 @@ def test_the_least_delayed_read_of_a_bin_counts() -> None:
     assert b is not None
     assert a.rate == pytest.approx(b.rate, abs=1e-9) == 0.0
     assert a.host_ns - a.device_ns == b.host_ns - b.device_ns == START_NS - DEVICE0_NS + MS
-
-
-def test_the_numbers_of_the_rules_are_those_of_recorded_logs() -> None:
-    assert (FIRST_RULES, _IN_ORDER_RULES, _STEP_RULES, AGE_RULES) == (1, 3, 4, 5)
 
 
 @pytest.mark.parametrize(("reads", "step_ms"), [(1, 0), (19, 0), (20, -10), (21, -10)])
@@ -331,11 +316,9 @@ def test_steps_and_unwrapping() -> None:
 # --- steps of the host's clock, and the stated uncertainty ----------------------------------------------------------
 
 
-def with_step(
-    step_ms: float, rules: int = 4, at_s: float = 10.0, seconds: float = 20.0
-) -> tuple[ClockMap, list[float]]:
+def with_step(step_ms: float, at_s: float = 10.0, seconds: float = 20.0) -> tuple[ClockMap, list[float]]:
     """Errors of the mapped times, ms, of reads every 10 ms with 1 ms of jitter; the host's clock steps by `step_ms`."""
-    clock, rng = ClockMap(50.0, rules), np.random.default_rng(1)
+    clock, rng = ClockMap(50.0), np.random.default_rng(1)
     errors: list[float] = []
     for k in range(round(100 * seconds)):
         shown_ms = step_ms if k >= 100 * at_s else 0.0
@@ -347,8 +330,6 @@ def test_a_step_forward_is_followed_after_a_second() -> None:
     _, errors = with_step(300.0)
     assert min(errors[1000:1010]) < -299.0
     assert max(map(abs, errors[1140:])) < 0.1
-    _, old = with_step(300.0, rules=3)
-    assert min(old[1900:]) < -100.0  # the rules of old logs absorb it in half a minute
 
 
 def test_a_step_back_is_followed_at_half_the_clock_s_rate() -> None:
@@ -524,16 +505,6 @@ def test_a_bin_is_a_quarter_of_a_second_to_the_nanosecond() -> None:
     assert rate_after(clock) == pytest.approx(1e-4, rel=1e-3)
 
 
-def test_a_correction_of_the_first_rules_goes_on_at_the_rate_of_its_time_constant() -> None:
-    """An error of 50 ms is corrected by 50/300 of the time, also over a million seconds."""
-    clock = ClockMap(50.0, rules=1)
-    for at_ms in (0.0, 10.0):
-        mapped(clock, at_ms, 50.0 - 5.0 * at_ms)
-    left_ms = 50.0 * 29 / 30
-    assert mapped(clock, 20.0) == pytest.approx(left_ms, abs=1e-6)
-    assert mapped(clock, 20.0 + 1e9) == pytest.approx(left_ms - left_ms / 300 * 1e9, rel=1e-9)
-
-
 def test_the_bins_of_a_record_are_a_twentieth_of_the_whole_record() -> None:
     """Reads at 0 s and from 10 to 30 s every 0.5 s, every third one in time: each bin of 1.5 s has one of these."""
     device_s = np.concatenate(([0.0], np.arange(10.5, 30.25, 0.5)))
@@ -574,15 +545,14 @@ def test_the_rate_is_uncertain_since_the_least_late_read() -> None:
     assert clock.std_ns == pytest.approx(3e3 + mean + 50e-6 * 1490 * MS, abs=100.0)
 
 
-@pytest.mark.parametrize(("rules", "fitted"), [(2, True), (3, False)])
-def test_samples_before_the_first_are_in_bins_before_its_own(rules: int, fitted: bool) -> None:
-    """Rules that learn from older samples have eight complete bins a quarter of a second earlier."""
-    clock = ClockMap(50.0, rules)
+def test_samples_before_the_first_are_in_no_bin() -> None:
+    """Else there would be eight complete bins, of which a line is fitted, a quarter of a second earlier."""
+    clock = ClockMap(50.0)
     mapped(clock, 0.0)
     mapped(clock, -1.0, -1e-4)
     for k in range(1, 8):
         mapped(clock, 250.0 * k, 250e-4 * k)
-    assert (rate_after(clock) != 0.0) is fitted
+    assert rate_after(clock) == 0.0
 
 
 def test_the_reads_of_thirty_seconds_count() -> None:

@@ -86,8 +86,8 @@ class Sender:
 class Received:
     """What a pipeline has made of a sender's bytes."""
 
-    def __init__(self, sender: Sender, rules: int | None = None) -> None:
-        self.pipeline = NodePipeline("encoder", CONFIG, {} if rules is None else {"clock_rules": rules})
+    def __init__(self, sender: Sender) -> None:
+        self.pipeline = NodePipeline("encoder", CONFIG, {})
         self.items: list[Batch | DeviceEvent] = []
         for at_s, frame in sender.frames():
             self.items += self.pipeline.feed(RX, rotorlink.wire(frame), START_NS + round(at_s * 1e9))
@@ -130,14 +130,6 @@ def test_jitter_of_time_stamps_and_a_rounded_period_are_no_steps() -> None:
             return round(true_s * 1e6 * 1.0004 + 450 * np.sin(1e3 * true_s)) + 1_000_000
 
     assert not Received(Rounded(lost_blocks=frozenset(range(50, 90)))).events("clock")
-
-
-def test_logs_of_older_rules_keep_their_times() -> None:
-    sender = Sender(step_s=0.05, bounce_s=0.003)
-    found = Received(sender, rules=9)
-    assert not found.events("clock")
-    assert not found.events("marks")
-    assert len(found.mark_s()) == 2 * len(sender.true_s)
 
 
 @pytest.mark.parametrize("bounce_s", [0.0005, 0.003, 0.012])

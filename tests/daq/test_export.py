@@ -53,6 +53,7 @@ def log_path(tmp_path: Path) -> Path:
                 "code": np.full(100, 2**32 - 1),
                 "counter": np.arange(100),
                 "device_ticks": ticks,
+                "flags": np.zeros(100, np.uint32),
             }
             log.batch(Batch(LASER_X, time, sequence, columns), int(time[-1]) + 7)
             angles = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 import pytest
 
 from daq.acquisition.session import Session
-from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
@@ -28,7 +27,6 @@ from tests.daq.test_drive_setup import MappedDrive
 OPENING = open_bus(500_000)
 MS = 1_000_000
 NODE = drive.NODE
-BEFORE = 9  # rules of earlier logs
 
 
 @pytest.mark.parametrize(("rig_name", "device"), [("virtual", "drive"), ("ethernet_lasers", "angle_bus")])
@@ -113,15 +111,14 @@ def test_a_boot_up_in_a_log_without_the_opening_is_a_restart() -> None:
 
 
 def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
-    for rules, samples in ((NEWEST_RULES, 1), (BEFORE, 0)):
-        line = encoders.Line(rules)
-        line.at(0, TX, OPENING)
-        line.at(0, RX, b"".join(f"t{0x700 + node:03X}100\r".encode() for node in (3, 4, 5)))
-        line.all_answer()
-        line.all_answer()
-        assert (sum(len(batch.time_ns) for batch in line.batches()) > 0) == bool(samples)
-        assert bool(line.pipeline.complaint) == (not samples)
-        assert line.events("network" if samples else "restart")
+    line = encoders.Line()
+    line.at(0, TX, OPENING)
+    line.at(0, RX, b"".join(f"t{0x700 + node:03X}100\r".encode() for node in (3, 4, 5)))
+    line.all_answer()
+    line.all_answer()
+    assert sum(len(batch.time_ns) for batch in line.batches()) > 0
+    assert line.pipeline.complaint == ""
+    assert line.events("network")
     line = encoders.Line()
     line.all_answer()
     line.at(0, RX, b"t703100\r")
@@ -132,22 +129,16 @@ def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
 @pytest.mark.parametrize("heard", [vesc.ANSWER, vesc.STATUS])
 def test_the_start_message_of_a_vesc_is_a_restart_once_it_was_heard(heard: bytes) -> None:
     boot = vesc.text(vesc.extended(0x3917, "36305F4D4B35"))
-    for rules, first in ((NEWEST_RULES, "network"), (BEFORE, "restart")):
-        pipeline = vesc.can_pipeline("drive", vesc.controller(), rules)
-        pipeline.feed(TX, OPENING, 0)
-        assert kinds(pipeline.feed(RX, boot, MS)) == [first]
-        pipeline.feed(RX, heard, 2 * MS)
-        assert kinds(pipeline.feed(RX, boot, 3 * MS)) == ["restart"]
-
-
-def switched_on_then_sampling(rules: int) -> list[str]:
-    """Kinds of events of a radio node that reports its start before its first sample, and once more after it."""
-    line, start = radio.pipeline({"clock_rules": rules}), radio.packet(0x18, bytes(17))
-    data = [start, radio.sweeps(0, [(1, 1)]), start]
-    found = [item for n, each in enumerate(data) for item in line.feed(RX, each, n * MS)]
-    return [kind for kind in kinds(found) if kind in ("status", "restart")]
+    pipeline = vesc.can_pipeline("drive", vesc.controller())
+    pipeline.feed(TX, OPENING, 0)
+    assert kinds(pipeline.feed(RX, boot, MS)) == ["network"]
+    pipeline.feed(RX, heard, 2 * MS)
+    assert kinds(pipeline.feed(RX, boot, 3 * MS)) == ["restart"]
 
 
 def test_a_radio_node_that_was_switched_on_before_its_first_sample_has_not_started_again() -> None:
-    assert switched_on_then_sampling(NEWEST_RULES) == ["status", "restart"]
-    assert switched_on_then_sampling(BEFORE) == ["restart", "restart"]
+    """It reports its start before its first sample, and once more after it."""
+    line, start = radio.pipeline(), radio.packet(0x18, bytes(17))
+    data = [start, radio.sweeps(0, [(1, 1)]), start]
+    found = [item for n, each in enumerate(data) for item in line.feed(RX, each, n * MS)]
+    assert [kind for kind in kinds(found) if kind in ("status", "restart")] == ["status", "restart"]

@@ -163,27 +163,3 @@ def test_identification_excludes_marked_samples_and_the_log_keeps_them(tmp_path:
     with open_log(path) as opened:
         assert opened["laser/x"].code[3000] == codes[3000]
         assert losses_of(opened).by_device == {"laser_x": {"suspect": 1}}
-
-
-def test_a_log_of_a_version_without_flags_replays_as_the_same(tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    from daq.log.file import LogFile
-    from daq.replay import check
-
-    old = channels.Channel("laser/x", "rig.LaserSample", channels.LASER_X.fields[:4])
-    codes = np.rint(MIDDLE + 900 * np.sin(np.arange(600) / 40)).astype(np.int64)
-    codes[300] ^= 1 << 12
-    rig = load_rig("virtual")
-    for path, damaged in ((tmp_path / "old.mcap", False), (tmp_path / "wrong.mcap", True)):
-        with LogFile(path, {}, {"rig.json": rig.snapshot_json()}, ("laser_x",), START_NS, (old,)) as log:
-            log.raw("laser_x", RX, wire(codes), START_NS)
-            for item in laser().feed(RX, wire(codes), START_NS):
-                if isinstance(item, Batch):
-                    columns = {name: item.columns[name].copy() for name in old.names}
-                    columns["code"][5] += damaged
-                    log.batch(replace(item, channel=old, columns=columns), START_NS)
-            log.finish({})
-        found = check(path)
-        assert found.identical == (not damaged)
-        assert any("flags of laser/x" in note for note in found.notes)

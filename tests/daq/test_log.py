@@ -24,7 +24,8 @@ BLOCKS, PER_BLOCK = 12, 25
 def laser(start, n):
     """Samples that identify themselves, so that a wrong one is detected."""
     k = np.arange(start, start + n)
-    return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": 25 * k.astype(np.uint64)}
+    ticks = 25 * k.astype(np.uint64)
+    return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": ticks, "flags": 0 * k}
 
 
 def record(compression="zstd", chunk_bytes=256 * 1024, finish=True):

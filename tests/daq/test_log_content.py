@@ -43,7 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
                 file.event(DeviceEvent("reply", "laser_x", "OK"), now)
             if 3 <= second < 33:
                 k = np.arange(20)
-                columns = {"displacement_m": 1e-3 * k, "code": k, "counter": k, "device_ticks": k}
+                columns = {"displacement_m": 1e-3 * k, "code": k, "counter": k, "device_ticks": k, "flags": 0 * k}
                 file.batch(Batch(LASER_X, now - 30_000_000 + k * S // 20, k.astype(np.uint32), columns), now)
             file.note(HEALTH_TOPIC, {"kind": "health", "number": second}, now, now)
             file.flush()

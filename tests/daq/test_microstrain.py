@@ -313,9 +313,6 @@ def test_a_beacon_that_is_off_is_reported_once() -> None:
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
     line.feed(RX, status(UTC_S * S), UTC_S * S)
     assert line.set_up_lost == ""
-    old = pipeline({"clock_rules": 6})
-    old.feed(RX, status(UTC_S * S), UTC_S * S)
-    assert kinds(old.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
 
 
 def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a_reply() -> None:

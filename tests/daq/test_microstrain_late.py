@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pytest
 
-from daq.clock import NEWEST_RULES
 from daq.drivers.microstrain.stream import MicroStrainPipeline
 from daq.items import RX, Batch, DeviceEvent
 from tests.daq.test_microstrain import NODE, RATE_CODE, UTC_S, S, kinds, packet, pipeline, status, sweeps
@@ -49,8 +48,8 @@ class Radio:
         return float(np.abs(np.concatenate(errors)).max()) * 1e-9
 
 
-def radio(rules: int = 7) -> Radio:
-    made = Radio(pipeline({"beacon_lag_ns": 0, "clock_rules": rules}))
+def radio() -> Radio:
+    made = Radio(pipeline({"beacon_lag_ns": 0}))
     made.status(0)
     return made
 
@@ -98,9 +97,8 @@ def test_the_end_of_a_log_returns_the_waiting_packets() -> None:
     assert node.line.losses["samples"] == 3 * PER
 
 
-@pytest.mark.parametrize(("rules", "restarts"), [(6, 2), (7, 0)])
-def test_a_packet_that_is_later_than_a_second_is_no_restart(rules: int, restarts: int) -> None:
-    node = radio(rules)
+def test_a_packet_that_is_later_than_a_second_is_no_restart() -> None:
+    node = radio()
     for number in range(60):
         if number not in (5, 30):
             node.arrive(number)
@@ -108,11 +106,10 @@ def test_a_packet_that_is_later_than_a_second_is_no_restart(rules: int, restarts
             node.arrive(5 if number == 30 else 30, at=number + 0.5)
     for number in range(60, 80):
         node.arrive(number)
-    assert (kinds(node.items).count("restart") > 0) is (restarts > 0)
-    if not restarts:
-        assert node.times_off_s < 0.001
-        assert node.line.losses["samples"] == PER
-        assert node.numbers == [n for n in range(80) if n != 5]  # the second late packet is waited for
+    assert "restart" not in kinds(node.items)
+    assert node.times_off_s < 0.001
+    assert node.line.losses["samples"] == PER
+    assert node.numbers == [n for n in range(80) if n != 5]  # the second late packet is waited for
 
 
 def test_a_clock_of_the_node_that_is_set_back_is_a_restart_and_no_repetition() -> None:
@@ -152,7 +149,6 @@ def test_nodes_with_eight_channels_are_read(kind: int) -> None:
     assert isinstance(batch, Batch)
     assert batch.columns["theta3_rad"].tolist() == [10.0, 11.0]
     assert batch.columns["theta4_rad"].tolist() == [20.0, 21.0]
-    assert pipeline({"clock_rules": 6}, aspp=1).feed(RX, eight(kind), S) == []
 
 
 @pytest.mark.parametrize("wrong", [{"mode": 3}, {"data_type": 0x10}])
@@ -180,10 +176,9 @@ def test_a_node_that_sends_samples_of_another_kind_only_is_explained() -> None:
 
 @pytest.mark.parametrize(("kind", "payload"), [(0x16, bytes(21)), (0x00, b"\x0f\x08\xfc")])
 def test_every_report_of_a_start_is_a_restart(kind: int, payload: bytes) -> None:
-    for rules, restarts in ((NEWEST_RULES, 1), (6, 0)):
-        line = pipeline({"clock_rules": rules})
-        line.feed(RX, sweeps(0, [(1, 1)]), S)
-        assert kinds(line.feed(RX, packet(kind, payload), S)).count("restart") == restarts
+    line = pipeline()
+    line.feed(RX, sweeps(0, [(1, 1)]), S)
+    assert kinds(line.feed(RX, packet(kind, payload), S)).count("restart") == 1
 
 
 def test_the_repetition_of_the_beacon_is_no_foreign_node() -> None:
@@ -247,7 +242,4 @@ def test_the_confirmation_of_a_request_by_the_base_station_is_no_damage() -> Non
     assert line.losses["bytes"] == 0
     assert kinds(line.feed(RX, b"\xaa\x55" + answer, S)) == ["damage", "reply"]
     assert line.losses["bytes"] == 2
-    old = pipeline({"clock_rules": 6}, aspp=1)
-    old.feed(RX, answer, S)
-    assert kinds(old.feed(RX, b"\xaa" + answer, S)) == ["damage", "reply"]
     assert answer[3:5] == NODE.to_bytes(2, "big")

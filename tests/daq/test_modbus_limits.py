@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from daq.clock import NEWEST_RULES
 from daq.drivers.modbus_converter import wire
 from daq.items import Batch, DeviceEvent
 from tests.daq.test_modbus_wire import POLL, Line, frame, report, settings
@@ -209,9 +208,9 @@ def test_a_fault_is_one_event_with_its_code_however_long_it_lasts() -> None:
     assert [found for _, found in facts(line, "drive")] == [{"statusword": word} for word in (0x11, 0x08, 0x10)]
 
 
-def test_logs_of_rules_after_the_newest_known_are_decoded_by_these() -> None:
+def test_an_adapter_that_returns_the_reads_of_a_converter_with_gaps_echoes() -> None:
     given = {"table": "altivar"}
-    line = Line({"clock_rules": NEWEST_RULES + 1}, **given)
+    line = Line(**given)
     for _ in range(2):
         for first, count in settings(**given).blocks:
             request = wire.encode(wire.Request(1, 3, first, count))
@@ -262,14 +261,3 @@ def test_a_timeout_is_written_to_its_register_and_the_offset() -> None:
     without.write(0x2012, 10)
     read_one(without, 0x2012, 0)
     assert without.kinds() == []
-
-
-def test_logs_of_older_rules_have_no_restarts_of_a_converter() -> None:
-    line = Line({"clock_rules": 5})
-    line.write(0x2012, 10)
-    read_one(line, 0x2012, 0)
-    assert line.kinds() == []
-    for answer in (frame("01 83 02"), report(), frame("01 83 02")):
-        line.ask()
-        line.hear(answer)
-    assert line.kinds() == ["refused", "drive"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -216,8 +215,8 @@ def report(status: int = 0x11, fault: int = 0, counts: int = 1000) -> bytes:
 class Line:
     """A pipeline with what was fed to it."""
 
-    def __init__(self, identity: Mapping[str, Any] | None = None, **given: Any) -> None:
-        self.pipeline = ConverterPipeline("drive", settings(**given), identity or {})
+    def __init__(self, **given: Any) -> None:
+        self.pipeline = ConverterPipeline("drive", settings(**given))
         self.now_ns = 0
         self.items: list[Batch | DeviceEvent] = []
 
@@ -289,15 +288,6 @@ def test_signed_words_of_reference_and_speed() -> None:
     line.ask(wire.encode(wire.Request(1, 3, 8604, 1)))
     line.hear(frame("01 03 02 fe d5"))
     assert line.rows == [(-299, -300, 0x0637)]
-
-
-def test_an_older_log_is_decoded_by_the_reads_of_its_time() -> None:
-    line = Line({"clock_rules": 5}, table="altivar")
-    line.ask(wire.encode(wire.Request(1, 3, 3201, 1)))
-    line.hear(frame("01 03 02 06 37"))
-    line.ask(wire.encode(wire.Request(1, 3, 8604, 3)))
-    line.hear(frame("01 03 06 fe d5 00 00 00 00"))
-    assert line.rows == [(-299, 0, 0x0637)]
 
 
 def test_a_report_whose_state_was_lost_gives_no_sample() -> None:
@@ -469,16 +459,15 @@ def test_a_restart_is_derived_from_the_timeout_that_the_host_has_set(
     assert line.kinds() == ["emergency"] * times
 
 
-@pytest.mark.parametrize("rules", [5, 6])
-def test_returned_bytes_of_the_host_are_no_damage(rules: int) -> None:
-    line = Line({"clock_rules": rules})
+def test_returned_bytes_of_the_host_are_no_damage() -> None:
+    line = Line()
     for _ in range(3):
         line.ask()
         line.hear(POLL)
         line.hear(report())
     assert [row[0] for row in line.rows] == [300] * 3
-    assert line.lost() == ({} if rules == 6 else {"damaged_bytes": 24})
-    assert line.pipeline.echoes is (rules == 6)
+    assert line.lost() == {}
+    assert line.pipeline.echoes
 
 
 def test_a_returned_write_is_not_its_answer() -> None:

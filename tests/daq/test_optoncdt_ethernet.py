@@ -289,17 +289,6 @@ def test_a_packet_cut_by_a_lost_connection_gives_no_false_samples(kept: int, cut
     assert line.losses["samples"] == 0
 
 
-def test_a_log_of_earlier_rules_is_decoded_as_before() -> None:
-    """Cut packets, flags and counters gave other samples and events then."""
-    old = EthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"clock_rules": 5})
-    items = old.feed(RX, packet(0, [MID] * 50)[:100] + packet(0, [2] * 50), S)
-    assert len(recorded(items)) == 50
-    assert kinds(items) == []
-    assert wire.PREAMBLE in recorded(items)
-    other = frames_packet(50, [[3]], flags=4)
-    assert kinds(old.feed(RX, other, S + 10_000_000)) == []
-
-
 def test_a_counter_ahead_of_time_is_a_restart() -> None:
     """After five days at 5 kHz the counter is above 2³¹; from there to 0 it steps forward by less than 2³¹."""
     line = pipeline()

@@ -100,9 +100,6 @@ def test_frames_are_not_measured_a_second_after_they_are_received(counter: int, 
     line = pipeline()
     line.feed(RX, packet(0, [MID] * 50), S)
     assert kinds(line.feed(RX, packet(counter, [MID] * 50), S + 10_000_000)) == [kind]
-    old = with_identity({"clock_rules": 5})
-    old.feed(RX, packet(0, [MID] * 50), S)
-    assert kinds(old.feed(RX, packet(counter, [MID] * 50), S + 10_000_000)) == ["gap"]
 
 
 # --- damage and other frames -----------------------------------------------------------------------------------------
@@ -130,9 +127,6 @@ def test_frames_of_another_size_are_a_fault_in_place_of_damage() -> None:
     assert names == [["damage"]] * at + [["damage", "fault"]] + [[]] * (6 - at)
     assert events(found[at], "fault")[0].facts == {"frame_bytes": 12}
     assert line.losses["bytes"] > 6 * 600
-    old = with_identity({"clock_rules": 5})
-    for n in range(7):
-        assert kinds(old.feed(RX, frames_packet(3 * n, [[1, 2, 3]] * 50), S + n)) == []
 
 
 def test_a_sensor_of_which_only_the_size_of_frames_is_known_has_reported() -> None:
@@ -213,23 +207,16 @@ def test_only_nanometres_have_flags_that_are_compared_with_the_words() -> None:
     assert (event.kind, event.facts) == ("doubt", {"flags_1": 1 << 8, "flags_2": 0})
 
 
-def test_by_older_rules_no_flags_are_compared_with_the_words() -> None:
-    old = with_identity({"clock_rules": 5}, words=["DIST", "STATE"])
-    assert kinds(old.feed(RX, frames_packet(0, [[512, MID]], flags=1 << 8), S)) == []
-    assert old.doubt == ""
-
-
 def test_the_ticks_of_a_rate_without_a_whole_period_are_exact() -> None:
     (batch,) = pipeline(rate_Hz=3000.0).feed(RX, packet(30_000, [1]), S)
     assert isinstance(batch, Batch)
     assert batch.columns["device_ticks"].tolist() == [1_000_000]
 
 
-@pytest.mark.parametrize(("rules", "found"), [(5, []), (6, ["fault"]), (7, ["fault"])])
-def test_flags_are_compared_by_the_rules_of_the_log(rules: int, found: list[str]) -> None:
-    line = with_identity({"clock_rules": rules})
+def test_flags_other_than_those_of_the_first_packet_are_a_fault() -> None:
+    line = pipeline()
     line.feed(RX, frames_packet(0, [[MID]]), S)
-    assert kinds(line.feed(RX, frames_packet(1, [[MID]], flags=4), S + 1)) == found
+    assert kinds(line.feed(RX, frames_packet(1, [[MID]], flags=4), S + 1)) == ["fault"]
 
 
 # --- another rate ----------------------------------------------------------------------------------------------------
@@ -273,9 +260,3 @@ def test_few_packets_a_second_show_no_rate_though_they_come_in_parts() -> None:
     sensor = Sensor(pipeline())
     assert sensor.run(3) == []
     assert sensor.run(12, 2500, reads_Hz=4, parts=3) == []
-
-
-def test_by_older_rules_no_rate_is_judged() -> None:
-    sensor = Sensor(with_identity({"clock_rules": 5}))
-    assert sensor.run(3) == []
-    assert sensor.run(8, 2500) == []

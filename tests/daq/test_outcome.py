@@ -1,4 +1,4 @@
-"""Result of a test in logs of present and earlier versions; and the numbers of logs in a folder."""
+"""Result of a test in its log; and the numbers of logs in a folder."""
 
 from __future__ import annotations
 
@@ -21,9 +21,6 @@ def test_what_is_written_is_what_is_read(missed: str) -> None:
     ("test", "outcome", "words"),
     [
         ("record", {"ended": "Ctrl-C"}, ""),
-        ("run-up", {"reached_top": True}, ""),
-        ("run-up", {"reached_top": False}, "the rotor did not reach the top speed"),
-        ("point-C", {"settled": False, "why": "drifts"}, "the steady state was not reached (drifts)"),
         ("spin-down", {"ended": "session closed"}, "broken off: session closed"),
         ("run-up", {"ended": "laser_x: silent"}, "broken off: laser_x: silent"),
         ("unknown", {}, ""),
@@ -32,7 +29,7 @@ def test_what_is_written_is_what_is_read(missed: str) -> None:
         ("of-another-package", {"reached": False, "ended": "not reached: five turns"}, "five turns"),
     ],
 )
-def test_logs_of_earlier_versions_and_broken_off_tests(test: str, outcome: dict, words: str) -> None:
+def test_broken_off_tests(test: str, outcome: dict, words: str) -> None:
     assert not_reached(test, outcome) == words
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from daq.clock import CLOCK_RULES
 from daq.drivers.contract import Pipeline
 from daq.drivers.polled_laser import wire
 from daq.drivers.polled_laser.driver import DRIVER
@@ -29,8 +28,8 @@ def sensor(**settings: Any) -> PolledLaser:
     return PolledLaser.model_validate({"driver": "polled_laser", "port": "p", "axis": "x", **settings})
 
 
-def pipeline(settings: PolledLaser, rules: int = 7) -> Pipeline:
-    return DRIVER.pipeline("gauge", settings, {CLOCK_RULES: rules})
+def pipeline(settings: PolledLaser) -> Pipeline:
+    return DRIVER.pipeline("gauge", settings, {})
 
 
 def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
@@ -216,7 +215,7 @@ def test_while_a_sensor_is_silent_each_probe_without_an_answer_is_a_lost_sample(
     assert numbers[-1] - len(numbers) + 1 == 4
 
 
-# --- what is decoded otherwise from rules 7 on -------------------------------------------------------------------
+# --- codes, block checks, refusals -------------------------------------------------------------------------------
 
 
 def asked(decoder: Pipeline, request: bytes, answer: bytes, at_ms: int) -> list[Batch | DeviceEvent]:
@@ -244,25 +243,6 @@ def test_an_answer_without_a_reading_has_a_code(dialect: str, answer: bytes, cod
     assert math.isnan(float(batch.columns["displacement_m"][0])) == (code > 0)
 
 
-@pytest.mark.parametrize(("dialect", "answer", "expected"), [
-    ("IL", b"M0,+99.999", 0.099999), ("HL-G1", b"%01$RMD+9999999**", 0.9999999), ("IL", b"M0,+EE.EEE", None),
-    ("LK-G5000", b"MS,01,-------", None), ("LK-G5000", b"MS,+01.0000", None), ("LK-G", b"M1,+FFFFFFF", math.nan),
-])  # fmt: skip
-def test_older_logs_are_decoded_as_before(dialect: str, answer: bytes, expected: float | None) -> None:
-    settings = sensor(dialect=dialect, baud=115_200, range_m=1.0)
-    decoder = pipeline(settings, rules=6)
-    found = asked(decoder, wire.DIALECTS[dialect].request(settings.output), answer, 0)
-    if expected is None:
-        assert kinds(found) == ["damage"]
-        assert isinstance(found[0], DeviceEvent)
-        assert found[0].text == f"not an answer: {answer!r}"
-        return
-    assert kinds(found) == ["reply", "sample"]
-    assert isinstance(found[1], Batch)
-    assert float(found[1].columns["displacement_m"][0]) == pytest.approx(expected, nan_ok=True)
-    assert int(found[1].columns["code"][0]) == 0
-
-
 def test_values_beyond_the_range_are_reported_once_with_the_unit_as_the_likely_cause() -> None:
     decoder = pipeline(sensor(dialect="LK-G", range_m=0.01))
     answers = [b"M1,+01.0000", b"M1,+02288.5", b"M1,+02287.5", b"M1,+01.0000", b"M1,-02288.5"]
@@ -274,18 +254,17 @@ def test_values_beyond_the_range_are_reported_once_with_the_unit_as_the_likely_c
     assert decoder.losses["invalid"] == 3
 
 
-@pytest.mark.parametrize(("rules", "damaged"), [(7, 1), (6, 0)])
-def test_a_wrong_block_check_is_damage_once_right_ones_have_come(rules: int, damaged: int) -> None:
-    decoder = pipeline(sensor(dialect="HL-G1"), rules)
+def test_a_wrong_block_check_is_damage_once_right_ones_have_come() -> None:
+    decoder = pipeline(sensor(dialect="HL-G1"))
     texts = [b"%%01$RMD+00012%02d" % n for n in range(10)]
     lines = [text + wire.check_sum(text) for text in texts]
     lines[6] = lines[6].replace(b"+0", b"+4")
     found: list[Batch | DeviceEvent] = []
     for number, line in enumerate(lines):
         found += asked(decoder, b"%01#RMD**\r", line, 20 * number)
-    assert decoder.losses["damaged_lines"] == damaged
-    assert decoder.losses["samples"] == damaged
-    assert sum("wrong block check" in text for text in texts_of(found)) == damaged
+    assert decoder.losses["damaged_lines"] == 1
+    assert decoder.losses["samples"] == 1
+    assert sum("wrong block check" in text for text in texts_of(found)) == 1
 
 
 def test_block_checks_of_another_definition_are_no_damage() -> None:
@@ -299,15 +278,14 @@ def test_block_checks_of_another_definition_are_no_damage() -> None:
     assert len(samples) == 300
 
 
-@pytest.mark.parametrize(("rules", "faults"), [(7, 0), (6, 1)])
-def test_refusals_for_a_moment_are_no_fault(rules: int, faults: int) -> None:
+def test_refusals_for_a_moment_are_no_fault() -> None:
     """As during a change of its settings. A fault ends a recording."""
-    decoder = pipeline(sensor(dialect="LK-G"), rules)
+    decoder = pipeline(sensor(dialect="LK-G"))
     found: list[str] = []
     for n in range(90):
         found += kinds(asked(decoder, b"M1\r", b"ER,M1,01", 20 * n))
     found += kinds(asked(decoder, b"M1\r", b"M1,+01.0000", 1800))
-    assert (found.count("fault"), decoder.losses["refused"]) == (faults, 90)
+    assert (found.count("fault"), decoder.losses["refused"]) == (0, 90)
     assert found[-1] == "sample"
 
 

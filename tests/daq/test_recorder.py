@@ -26,7 +26,7 @@ START = 1_700_000_000_000_000_000
 
 def batch(first, n):
     k = np.arange(first, first + n)
-    columns = {"displacement_m": 1e-6 * k, "code": k, "counter": k % 2**18, "device_ticks": 25 * k}
+    columns = {"displacement_m": 1e-6 * k, "code": k, "counter": k % 2**18, "device_ticks": 25 * k, "flags": 0 * k}
     return Batch(LASER_X, START + 250_000 * k, k.astype(np.uint32), columns)
 
 

@@ -240,16 +240,6 @@ def test_an_outage_of_almost_256_packets_is_a_loss() -> None:
         assert line.losses["samples"] == lost * 168
 
 
-def test_logs_of_older_rules_are_decoded_as_before() -> None:
-    line = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"clock_rules": 5})
-    assert kinds(stream_of(line, (0, 247.0))) == ["gap"]
-    assert line.losses["samples"] == 216 * 168
-    assert kinds(line.feed(RX, packet(1), at(280))) == ["restart"]
-    assert [kinds(line.feed(RX, packet(250 + n), at(281 + n))) for n in range(4)] == [[], [], [], ["restart"]]
-    assert line.repeated_packets == 3
-    assert line.feed(RX, b"", at(300)) == []
-
-
 def test_another_sensor_gives_no_samples() -> None:
     line = pipeline(serial=678)
     assert kinds(line.feed(RX, packet(0), 0)) == ["damage"]

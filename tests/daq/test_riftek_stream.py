@@ -197,17 +197,17 @@ def test_one_stretch_of_late_reads_is_no_loss() -> None:
 
 
 def test_the_guard_grows_with_how_unevenly_the_host_reads() -> None:
-    """Floors that wander by some ms hide a loss of 8 ms, unless eight intervals are compared (rules 10)."""
+    """Floors that wander by some ms hide a loss of 8 ms, unless eight intervals are compared."""
     rng = np.random.default_rng(4)
     wander = 4_000_000 * rng.random(1000)
-    for uneven, rules, found in ((1, 9, 0), (1, 10, 8), (0, 9, 8), (0, 10, 8)):
+    for uneven in (1, 0):
         reads = [
             (data, ns + uneven * int(wander[(ns - START_NS) // 250_000_000]))
             for data, ns in reads_of(without(8000, 5013, 8), 1000.0)
         ]
-        pipe = pipeline(laser(), {"clock_rules": rules})
+        pipe = pipeline(laser())
         feed(pipe, reads)
-        assert pipe.losses["samples"] == found
+        assert pipe.losses["samples"] == 8
 
 
 def held_up(rate_Hz: float, count: int, from_s: float, to_s: float, most: int = 4095) -> Reads:

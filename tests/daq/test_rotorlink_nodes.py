@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import pytest
 
 from daq.drivers.rotorlink import wire as rotorlink
 from tests.daq.test_rotorlink_limits import Line, mark
@@ -55,21 +52,11 @@ def test_two_nodes_that_send_samples_make_the_choice_doubtful() -> None:
     assert line.pipeline.complaint == doubt.text, "first the node must be known"
 
 
-@pytest.mark.parametrize(
-    ("identity", "settings", "ours"),
-    [
-        ({}, {"node": 7}, 7),
-        ({"clock_rules": 6}, {}, 2),
-        ({"clock_rules": 6, "node": 7}, {}, 7),
-    ],
-)
-def test_a_stated_node_and_earlier_logs_raise_no_doubt(
-    identity: dict[str, Any], settings: dict[str, Any], ours: int
-) -> None:
-    line = Line(identity, **settings)
+def test_a_stated_node_raises_no_doubt() -> None:
+    line = Line(node=7)
     for k in range(3):
         line.at(10_000 * k + 9_000, block(2, k), block(7, k))
-    assert recorded(line) == {ours}
+    assert recorded(line) == {7}
     assert line.events("doubt") == []
     assert line.pipeline.complaint == ""
     assert len(line.events("foreign")) == 1
@@ -83,13 +70,6 @@ def test_a_log_s_node_stays_that_of_the_log() -> None:
     assert line.pipeline.learned == {"node": 7}
 
 
-def test_in_earlier_logs_the_first_node_received_is_the_rigs() -> None:
-    line = Line({"clock_rules": 6})
-    line.at(9_000, status(9, 0), block(1, 0))
-    assert recorded(line) == set()
-    assert line.pipeline.learned == {"node": 9}
-
-
 def test_other_nodes_without_samples_raise_no_doubt() -> None:
     line = Line()
     line.at(9_000, block(1, 0), status(9, 0), mark(1, 9_000, node=9))
@@ -97,10 +77,9 @@ def test_other_nodes_without_samples_raise_no_doubt() -> None:
     assert [event.facts["node"] for event in line.events("foreign")] == [9]
 
 
-@pytest.mark.parametrize(("rules", "text"), [(6, "2 radio frames lost within 0 ms"), (7, "2 radio frames lost")])
-def test_a_span_that_is_not_known_is_not_stated(rules: int, text: str) -> None:
-    line = Line({"clock_rules": rules})
+def test_a_span_that_is_not_known_is_not_stated() -> None:
+    line = Line()
     line.at(9_000, block(1, 0))
     line.at(19_000, rotorlink.encode_frame(bytes((0x1F, 1, 3, 0, 9))))  # of an unknown kind, without a time
-    assert [event.text for event in line.events("gap")] == [text]
+    assert [event.text for event in line.events("gap")] == ["2 radio frames lost"]
     assert line.events("gap")[0].facts["span_s"] == 0.0

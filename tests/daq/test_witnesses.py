@@ -172,7 +172,7 @@ def witnessed_log(path: Path, gain: float) -> Path:
     roles["top"] = [role_table(top)]
     attachments = {"rig.json": json.dumps(snapshot).encode(), "roles.json": json.dumps(roles).encode()}
     start, rng = 1_700_000_000_000_000_000, np.random.default_rng(3)
-    channels = (LASER_X, Channel("laser/top", "rig.LaserSample", LASER_X.fields, LASER_X.later))
+    channels = (LASER_X, Channel("laser/top", "rig.LaserSample", LASER_X.fields))
     with LogFile(path, {"test": "ring-down-x"}, attachments, (), start, channels) as log:
         for block in range(300):
             for channel, scale in zip(channels, (1.0, gain), strict=True):

@@ -19,6 +19,7 @@ from daq.log import open_log
 from daq.log.samples import Samples
 from daq.replay import check
 from daq.transports import open_link
+from daq.version import DECODER
 from rig_cli import replay_view
 from rig_cli.replay import replay
 from rig_configs.errors import RigFileError
@@ -102,6 +103,27 @@ def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], 
         "largest": 0.5,
         "rms": pytest.approx(0.5 * (len(wrong) / 60) ** 0.5),
     }
+
+
+@pytest.mark.parametrize("differs", [False, True])
+def test_another_decoder_is_named_and_a_difference_is_still_exit_code_1(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, differs: bool
+) -> None:
+    def without(number: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, int] | None:
+        return None if differs and number == 20 else (item, host_ns)
+
+    log = write_log(tmp_path / "d.mcap", steps=20, falsify=without, decoder="7")
+    note = f"recorded by decoder 7, decoded again by decoder {DECODER}: differences are expected"
+    code, out, _ = run_rig(capsys, str(log), "--check")
+    assert code == int(differs)
+    assert f"note: {note}" in out.splitlines()
+    code, out, _ = run_rig(capsys, str(log), "--check", "--json")
+    found = json.loads(out)
+    assert (code, found["identical"], found["notes"]) == (int(differs), not differs, [note])
+    assert (found["recorded_by_decoder"], found["decoded_by_decoder"]) == (7, DECODER)
+    code, out, _ = run_rig(capsys, str(write_log(tmp_path / "e.mcap", steps=3, decoder=None)), "--json")
+    found = json.loads(out)
+    assert (found["recorded_by_decoder"], found["decoded_by_decoder"]) == (None, DECODER)
 
 
 def test_a_damaged_log_states_how_far_it_was_compared(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -40,10 +40,9 @@ class Cia402(PlainDriver):
 
     def pipeline(self, device: str, settings: MotorDrive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.clock import clock_rules
         from daq.drivers.cia402.stream import DrivePipeline
 
-        return DrivePipeline(device, settings, clock_rules(identity))
+        return DrivePipeline(device, settings)
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from daq.clock import NEWEST_RULES
 from daq.drivers.canopen import cia301
 from daq.transports.slcan import CanFrame
 
@@ -23,7 +22,6 @@ IN_A_ROW = 3
 APART_S = 1.6
 """Longest interval of foreign heartbeats, s: twice the longest timeout of a drive. Rarer ones are harmless."""
 _ECHO_TIMEOUT_S = 0.2  # time after which a sent frame counts as not echoed
-_LATE_ECHO_RULES = 6  # see `clock_rules`: before them, `ECHO_S` held for adapters that are known to echo too
 _MIN_UNECHOED = 3  # number of sent frames without any echo after which the adapter counts as not echoing
 
 
@@ -33,15 +31,13 @@ class HostBeats:
     Args:
         node_id: node number of the drive; only the host sends frames to it.
         host_node_id: node number whose heartbeat the drive watches.
-        rules: see `daq.clock.clock_rules`.
 
     Attributes:
         foreign: number of received heartbeats that this host did not send.
     """
 
-    def __init__(self, node_id: int, host_node_id: int, rules: int = NEWEST_RULES) -> None:
+    def __init__(self, node_id: int, host_node_id: int) -> None:
         self.foreign: int = 0
-        self._late_echoes = rules >= _LATE_ECHO_RULES
         self._beat = cia301.cob_heartbeat(host_node_id)
         self._orders = (cia301.cob_sdo_request(node_id), cia301.cob_rpdo(1, node_id))
         self._sending = False  # a session that only receives gets the heartbeats of the bus's host
@@ -76,19 +72,18 @@ class HostBeats:
         sent = next((each for each in self._others if each[0] == frame), None)
         if sent is not None:
             self._echoed += 1
-            if self._late_echoes:
-                self._others.remove(sent)
+            self._others.remove(sent)
 
     @property
     def _longest_echo_s(self) -> float:
         """Host time within which a heartbeat may be an echo, s."""
-        return _ECHO_TIMEOUT_S if self._late_echoes and self._echoed > self._unechoed else ECHO_S
+        return _ECHO_TIMEOUT_S if self._echoed > self._unechoed else ECHO_S
 
     def _is_echo(self, host_ns: int) -> bool:
         while self._beats and host_ns - self._beats[0] > self._longest_echo_s * 1e9:
             self._beats.popleft()
-        echoed = self._echoed > self._unechoed if self._late_echoes else self._echoed > 0
-        if not self._beats or (not echoed and self._unechoed >= _MIN_UNECHOED):
+        echoes = self._echoed > self._unechoed
+        if not self._beats or (not echoes and self._unechoed >= _MIN_UNECHOED):
             return False
         self._beats.popleft()
         return True

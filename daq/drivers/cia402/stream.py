@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from daq import channels
-from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
@@ -37,19 +36,19 @@ class DrivePipeline:
 
     has_reported = True
 
-    def __init__(self, device: str, config: MotorDrive, rules: int = NEWEST_RULES) -> None:
+    def __init__(self, device: str, config: MotorDrive) -> None:
         self.losses: dict[str, int] = {}
         self._lines = CanLines(device, self.losses)
         self.frames: list[slcan.CanFrame] = []
         self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
         self._profile = profile_of(config)
-        self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id, rules)
+        self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
         self._target_rpm = 0.0
         self._status: int | None = None
         self._network: cia301.Heartbeat | None = None
-        self._contact = FirstContact(rules)
+        self._contact = FirstContact()
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""

@@ -35,7 +35,7 @@ def sign_of(encoder: Encoder, identity: Mapping[str, Any]) -> int:
 
 
 def offset_of(encoder: Encoder, identity: Mapping[str, Any]) -> int:
-    """Return the place of the position in its reports, bytes; 0 if it was not queried, or by an earlier version."""
+    """Return the place of the position in its reports, bytes; 0 if it was not queried."""
     offset = identity.get(f"{encoder.name}_offset", 0)
     if type(offset) is int and 0 <= offset <= _MAX_OFFSET:
         return offset

@@ -34,7 +34,7 @@ class FoundFaults:
 
     @classmethod
     def of(cls, encoder: Encoder, identity: Mapping[str, Any]) -> FoundFaults:
-        """Take them from the identity; logs of earlier versions do not contain them."""
+        """Take them from the identity; that of an encoder that was not queried has none."""
         values = (identity.get(f"{encoder.name}_{key}", 0) for key in FAULT_KEYS)
         return cls(*(value if type(value) is int else 0 for value in values))
 

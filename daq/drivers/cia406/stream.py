@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from daq import channels
-from daq.clock import clock_rules
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
@@ -64,7 +63,7 @@ class EncoderPipeline:
         self._device, self._settings = device, settings
         self._lines = CanLines(device, self.losses)
         encoders = settings.encoders
-        self._contacts = {each.name: FirstContact(clock_rules(identity)) for each in encoders}
+        self._contacts = {each.name: FirstContact() for each in encoders}
         self._watches = {
             each.name: NodeWatch(
                 device, each, settings.heartbeat_ms, FoundFaults.of(each, identity), self._contacts[each.name]
@@ -84,7 +83,7 @@ class EncoderPipeline:
             self._by_frame[cia301.cob_sdo_answer(each.node)] = each.name, self._reply
         delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
         lateness_ns = round(settings.max_lateness_s * 1e9)
-        self._sync = SyncTimes(tuple(self._watches), delay_ns, lateness_ns, clock_rules(identity))
+        self._sync = SyncTimes(tuple(self._watches), delay_ns, lateness_ns)
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
         self._silent = SilentEncoders()
         self._refused_before = 0  # lines that the adapter had refused when all encoders had last answered

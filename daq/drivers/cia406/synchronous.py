@@ -4,7 +4,7 @@ A report has no number. Two rules keep a report from getting the time of another
 
 - An encoder that has not answered a SYNC may still do so after the next one. Its reports are then held until the SYNC
   after that one, and the last of them is the answer (`SyncTimes.holds`). This holds however long ago the SYNC was: a
-  host or adapter that stood still passes on the answers of before. Logs of earlier rules (`clock_rules`) allow 0.1 s.
+  host or adapter that stood still passes on the answers of before.
 - After a SYNC of another node each encoder sends one report more. A SYNC of this host is doubtful if another node's is
   received before all encoders have answered it, or if reports to another node's were missing when it was sent. Its
   samples are dropped and counted as missing.
@@ -12,15 +12,12 @@ A report has no number. Two rules keep a report from getting the time of another
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-from daq.clock import NEWEST_RULES
 from daq.drivers.cia406.reports import Instant
 from daq.drivers.cia406.settings import LATEST_S
 
-_STALL_RULES = 8  # see `clock_rules`
 _USUAL = 31  # round trips of which the median is the usual one
 _SILENT, _SILENT_NS = 3, round(2e9 * LATEST_S)
 _CREEP = 1e-4  # relative rate error of the host's clock, or of a rounded period, that is no missing SYNC
@@ -59,14 +56,12 @@ class SyncTimes:
         names: names of the encoders.
         delay_ns: time from the host's write of a SYNC to the sampling, ns.
         max_lateness_ns: longest time by which a first report may be later than usual, ns.
-        rules: see `daq.clock.clock_rules`.
 
     Attributes:
         usual_ns: median of the newest round trips, ns; each from the write to the first report.
     """
 
-    def __init__(self, names: tuple[str, ...], delay_ns: int, max_lateness_ns: int, rules: int = NEWEST_RULES) -> None:
-        self._longest_debt_ns = math.inf if rules >= _STALL_RULES else LATEST_S * 1e9
+    def __init__(self, names: tuple[str, ...], delay_ns: int, max_lateness_ns: int) -> None:
         self._names, self._delay_ns, self._max_lateness_ns = names, delay_ns, max_lateness_ns
         self._round_trips: deque[int] = deque(maxlen=_USUAL)
         self.usual_ns: int = 0
@@ -77,7 +72,7 @@ class SyncTimes:
         """Take a SYNC; return the names of the encoders that have not answered the one before."""
         asked, owed, doubtful = self._asked, dict[str, int](), False
         missing = [] if asked is None else [name for name in self._names if not asked.got[name]]
-        if asked is not None and host_ns - asked.host_ns < self._longest_debt_ns:
+        if asked is not None:
             for name in self._names:
                 left = 1 + asked.owed.get(name, 0) + asked.foreign - asked.got[name]
                 if left > 0 and (not asked.got[name] or asked.foreign):

@@ -73,15 +73,11 @@ class Positions:
         bits: number of bits.
         step: numbers from one frame to the next: 1 of a counter, the sampling period of a timestamp.
         looks_ahead: whether a jump is compared with the frame after it, and late frames may wait.
-        busy_ns: lateness below which frames are late because of the host unless whole cycles are missing, ns; 0: by
-            earlier rules there is none, and a late host contradicts right timestamps.
     """
 
-    def __init__(
-        self, unit_ns: float, bits: int, step: float, *, looks_ahead: bool = False, busy_ns: float = 0.0
-    ) -> None:
+    def __init__(self, unit_ns: float, bits: int, step: float, *, looks_ahead: bool = False) -> None:
         self.wrap: int = 2 ** min(bits, _MOST_BITS)
-        self._unit_ns, self._step, self._busy_ns = unit_ns, step, busy_ns
+        self._unit_ns, self._step = unit_ns, step
         self._last: int | None = None  # position of the newest frame
         self._odd: int | None = None  # number of the newest frame that was not kept
         self._least_ns = math.inf  # least delay so far
@@ -219,8 +215,8 @@ class Positions:
         turns = max(0, round(late.late_ns / (self.wrap * self._unit_ns)))
         rest_ns = abs(late.late_ns - turns * self.wrap * self._unit_ns)
         if rest_ns > _REST_NS + _LEAK * late.silent_ns + late.spread_ns:  # no cycle of the counter explains it
-            goes_on = self._busy_ns > 0 and place[1] == 1  # a sensor that starts again hardly goes on counting
-            is_host = goes_on or late.late_ns < self._busy_ns
+            goes_on = place[1] == 1  # a sensor that starts again hardly goes on counting
+            is_host = goes_on or late.late_ns < LATE_NS
             return (0, False) if is_host else (round(late.late_ns / self._unit_ns), True)
         return turns * self.wrap, False
 
@@ -241,7 +237,7 @@ class Positions:
         turns = max(0, round((passed - step) / self.wrap))
         later_ns = late_ns - turns * self.wrap * self._unit_ns
         unlike = min(0.5 * self._step + _LEAK * passed, self.wrap / 4)
-        agree = self._busy_ns > 0 and abs(passed - step - turns * self.wrap) < unlike
+        agree = abs(passed - step - turns * self.wrap) < unlike
         unseen_ns = stamps.wrap / stamps.step * self._step * self._unit_ns - LATE_NS  # the timestamp began again
         if -LATE_NS < later_ns < (max(unseen_ns, LATE_NS) if agree else LATE_NS):
             return turns

@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.dbc.layouts import FRAME_BYTES, MessageLayout, SignalLayout
-from daq.drivers.dbc.positions import LATE_NS, Placed, Positions, Stamps
+from daq.drivers.dbc.positions import Placed, Positions, Stamps
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
 from rig_basics.texts import number_of
 
-NEW_RULES = 7
-"""Rules from which frames wait that their number alone does not place, and a silent bus is no silent sensor."""
-_REST_RULES = 9
-"""Rules from which waiting frames are decoded at the end of a log; a lateness is the host's if it is short, if the
-counter goes on after it, or if timestamps agree with the counter."""
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -32,7 +27,7 @@ class LaserStream:
 
     Args:
         by_topic: channels of the device.
-        clock: rules and seed of the clock's map.
+        seed: seed of the clock's map.
         losses: losses of the device, which are counted here.
 
     Attributes:
@@ -46,7 +41,7 @@ class LaserStream:
         settings: CanSensors,
         group: LaserGroup,
         by_topic: Mapping[str, Channel],
-        clock: tuple[int, ClockSeed | None],
+        seed: ClockSeed | None,
         losses: dict[str, int],
     ) -> None:
         self.message: MessageLayout = group.message
@@ -54,14 +49,11 @@ class LaserStream:
         self._lasers = [_Laser(settings, table, signal, by_topic[table.topic]) for table, signal in group.lasers]
         table = group.lasers[0][0]
         self._period_ns = 1e9 / table.rate_Hz
-        self._tolerance_ppm, self._rules = table.clock_tolerance_ppm, clock[0]
-        self._clock = ClockMap(self._tolerance_ppm, self._rules, clock[1])
-        ahead = self._rules >= NEW_RULES and group.timestamp is None
-        busy_ns = LATE_NS if self._rules >= _REST_RULES else 0.0
+        self._tolerance_ppm = table.clock_tolerance_ppm
+        self._clock = ClockMap(self._tolerance_ppm, seed)
+        ahead = group.timestamp is None
         self._frames = (
-            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead, busy_ns=busy_ns)
-            if group.counter
-            else None
+            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead) if group.counter else None
         )
         self._waiting = np.zeros((0, FRAME_BYTES), np.uint8)  # frames that are not placed yet
         self._waiting_ns = 0  # time of the newest read of them
@@ -70,8 +62,8 @@ class LaserStream:
             if group.timestamp
             else None
         )
-        kind = "doubt" if self._rules >= NEW_RULES else "fault"  # silent displacements are an interlock of the host
-        self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, kind)
+        # a doubt, no fault: silent displacements are an interlock of the host
+        self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, "doubt")
         self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one
 
     @property
@@ -100,7 +92,7 @@ class LaserStream:
     def rest(self) -> Items:
         """Decode the frames that still wait at the end of a log, with nothing but their counter to place them."""
         data, self._waiting = self._waiting, self._waiting[:0]
-        return self._decided(data, self._waiting_ns) if len(data) and self._rules >= _REST_RULES else []
+        return self._decided(data, self._waiting_ns) if len(data) else []
 
     def _decided(self, data: NDArray[np.uint8], host_ns: int) -> Items:
         """Decode frames of shape (n, 8), n ≥ 1, that do not wait any longer; `host_ns` belongs to the last one."""
@@ -142,7 +134,7 @@ class LaserStream:
         out: Items = []
         for start, end in zip([0, *restarts], [*restarts, len(data)], strict=True):
             if start in restarts:
-                self._clock = ClockMap(self._tolerance_ppm, self._rules)
+                self._clock = ClockMap(self._tolerance_ppm)
             if start < end:
                 out += self._batches(data[start:end], numbers[start:end], device_ns, slice(start, end), host_ns)
         return out

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.clock import ClockSeed, clock_rules
+from daq.clock import ClockSeed
 from daq.drivers.dbc.layouts import MessageLayout
 from daq.drivers.dbc.quantities import QuantityStream
-from daq.drivers.dbc.samples import NEW_RULES, LaserStream
+from daq.drivers.dbc.samples import LaserStream
 from daq.drivers.dbc.settings import CanSensors
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.slcan import FrameBlock, LineDecoder, first_line_end
@@ -45,10 +45,8 @@ class CanPipeline:
         self._joined = False
         groups = settings.groups()
         seed = ClockSeed.of(identity) if len(groups) == 1 else None
-        rules = clock_rules(identity)
-        self._bus_counts = rules >= NEW_RULES
         self._bus_ns: int | None = None  # time of the newest frame
-        self._lasers = [LaserStream(device, settings, group, by_topic, (rules, seed), self.losses) for group in groups]
+        self._lasers = [LaserStream(device, settings, group, by_topic, seed, self.losses) for group in groups]
         others = [QuantityStream(device, settings, name, by_topic[f"can/{name}"]) for name in settings.quantities]
         self._streams: dict[tuple[int, bool], list[LaserStream | QuantityStream]] = {}
         for stream in (*self._lasers, *others):
@@ -74,10 +72,10 @@ class CanPipeline:
             self.losses["damaged_lines"] += block.damaged
             text = f"{number_of(block.damaged, 'damaged line')} dropped"
             out.append(DeviceEvent("damage", self._device, text, {"lines": block.damaged}))
-        if self._bus_counts and not len(block):  # answers of the adapter do not show that the bus carries frames
+        if not len(block):  # answers of the adapter do not show that the bus carries frames
             return out
         watches = [stream.watch for streams in self._streams.values() for stream in streams]
-        for watch in watches if self._bus_counts and self._bus_ns is not None else ():
+        for watch in watches if self._bus_ns is not None else ():
             watch.bus_back(host_ns, self._bus_ns or 0)
         self._bus_ns = host_ns
         self._taken(block, host_ns, out)

@@ -58,10 +58,10 @@ class IndexMarks:
     Args:
         tacho: its settings.
         period_ns: time between two scans on the device's clock, ns.
-        sequence: examines the marks for bounces and missing turns; None for logs of earlier rules.
+        sequence: examines the marks for bounces and missing turns.
     """
 
-    def __init__(self, tacho: Tachometer, period_ns: float, sequence: MarkSequence | None) -> None:
+    def __init__(self, tacho: Tachometer, period_ns: float, sequence: MarkSequence) -> None:
         self._tacho, self._period_ns, self._sequence = tacho, period_ns, sequence
         self._sign = 1.0 if tacho.edge == "rising" else -1.0
         if tacho.is_digital:
@@ -117,8 +117,6 @@ class IndexMarks:
     def _examined(self, own_ns: float, time_ns: int) -> tuple[int | None, list[DeviceEvent]]:
         """Return the number of a mark, None if it is a bounce, and the events about it."""
         before, turn = self._last, self._turn(own_ns)
-        if self._sequence is None:
-            return turn, []
         number, events = self._sequence.feed(round(own_ns), turn, time_ns)
         if number is None:
             self._last = before

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.channels import Channel
-from daq.clock import AGE_RULES, ClockMap, clock_rules
-from daq.drivers.index_marks import MARK_RULES, MarkSequence
+from daq.clock import ClockMap
+from daq.drivers.index_marks import MarkSequence
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
 from daq.drivers.labjack.pace import PaceWatch
@@ -37,7 +37,6 @@ _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read 
 _MOST_EARLY_NS = 2_000_000_000  # by which skipped scans may exceed the host's time, for times that are not known well
 _INPUT_NS = 10_000  # from one input of a scan to the next, about
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
-_PLACE_RULES = 7  # from which the place of the samples is compared with the number that waits
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
@@ -69,8 +68,7 @@ class LabJackPipeline:
         self._inputs = len(settings.scan_list)
         self._decoder = wire.MessageDecoder()
         self._pace = PaceWatch(1e9 / self._period_ns)
-        self._rules = clock_rules(identity)
-        sequence = MarkSequence(device, self.losses) if self._rules >= MARK_RULES else None
+        sequence = MarkSequence(device, self.losses)
         self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns, sequence)
         self._clock = self._new_clock()
         self._has_learned = False  # whether the clock's map has seen a read whose age is known
@@ -102,7 +100,7 @@ class LabJackPipeline:
         return math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
 
     def _new_clock(self) -> ClockMap:
-        return ClockMap(self._settings.clock_tolerance_ppm, self._rules)
+        return ClockMap(self._settings.clock_tolerance_ppm)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -187,7 +185,7 @@ class LabJackPipeline:
         """Return whether an answer must be held; see ScanCutter. Answers missing before it are known to be missing."""
         newest = self._held[-1][0] if self._held else self._number
         follows = newest is not None and (number - newest) % wire.FIRST_STREAM_ID == 1
-        if self._rules < _PLACE_RULES or self._started_ns is not None or not follows:
+        if self._started_ns is not None or not follows:
             return False
         return self._cutter.doubts(len(read.samples), read.backlog_bytes // 2)
 
@@ -282,7 +280,7 @@ class LabJackPipeline:
         """
         then_ns, waited = self._newest or (host_ns, 0)
         late_ns = 0 if self._scan_ns is None else then_ns - self._scan_ns - waited * self._period_ns
-        if self._rules >= _PLACE_RULES and late_ns > _STEP_NS:  # the answer before was late
+        if late_ns > _STEP_NS:  # the answer before was late
             then_ns -= round(late_ns)
         lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
         if lost <= 0 or read.status == wire.Status.RECOVERING:
@@ -306,7 +304,7 @@ class LabJackPipeline:
             f"its stream was started again: about {number_of(lost, 'scan')} lost "
             f"({lost * self._period_ns * 1e-6:.0f} ms)"
         )
-        is_ahead = between < 0 and self._rules >= _PLACE_RULES  # the clock goes back without a jump
+        is_ahead = between < 0  # the clock goes back without a jump
         return [self._lost(lost, text, keeps_clock=is_ahead, uncertain_samples=lost)]
 
     def _scans_of(self, read: wire.StreamRead) -> int:
@@ -322,7 +320,7 @@ class LabJackPipeline:
         behind_ns = 0.0 if self._scan_ns is None else host_ns - self._scan_ns - waiting * self._period_ns
         stated = read.info + (not self._settings.separator_counts)
         is_possible = not self._has_learned or stated * self._period_ns < behind_ns + _MOST_EARLY_NS
-        if read.status == wire.Status.RECOVERED and (is_possible or self._rules < _PLACE_RULES):
+        if read.status == wire.Status.RECOVERED and is_possible:
             span = f"{stated * self._period_ns * 1e-6:.1f} ms"
             self._advance(stated)
             text = f"{number_of(stated, 'scan')} skipped by the device, whose buffer was full ({span})"
@@ -384,7 +382,7 @@ class LabJackPipeline:
 
     def _times(self, device_ns: NDArray[np.int64], sent_ns: int) -> tuple[Items, NDArray[np.int64]]:
         """Return the times of scans on the common clock, and the event about a step of the clock."""
-        learn = not self._skips or self._rules < AGE_RULES
+        learn = not self._skips
         if learn and not self._has_learned:  # times until here had no known age
             self._clock, self._has_learned = self._new_clock(), True
         time_ns = self._clock.map(device_ns, sent_ns, learn=learn)
@@ -393,8 +391,7 @@ class LabJackPipeline:
         if abs(step_ns) < _STEP_NS:
             return [], time_ns
         scans = round(step_ns / self._period_ns)
-        is_early = step_ns < 0 and self._rules >= _PLACE_RULES
-        shift = f"{-step_ns * 1e-6:.0f} ms earlier" if is_early else f"{step_ns * 1e-6:.0f} ms later"
+        shift = f"{-step_ns * 1e-6:.0f} ms earlier" if step_ns < 0 else f"{step_ns * 1e-6:.0f} ms later"
         text = f"its scans arrive {shift} than before: the clock of the host was set"
         if scans > 0:
             text += (

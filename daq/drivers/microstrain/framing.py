@@ -27,16 +27,16 @@ class PacketSearch:
 
     A start without an intact packet is skipped alone, so a damaged length affects only its own packet. Memory is
     bounded by the longest packet. Up to the length of one packet before the first one is not counted: it began earlier.
+    A single start before another one is the confirmation by which a base station of version 1 reports that it has sent
+    a request to a node; it does not count either.
 
     Args:
         version: version of the packets; those of another version are not decoded.
-        confirms: whether a single start before another one is the confirmation by which a base station of version 1
-            reports that it has sent a request to a node; it does not count.
     """
 
-    def __init__(self, version: Version, *, confirms: bool = True) -> None:
+    def __init__(self, version: Version) -> None:
         self._version: Version = version
-        self._confirmed = bytes((STARTS[version],)) * 2 if confirms and version == 1 else None
+        self._confirmed = bytes((STARTS[version],)) * 2 if version == 1 else None
         self._line = bytearray()
         self._excused = HEAD_BYTES[version] + MAX_PAYLOAD + TAIL_BYTES[version]
 

@@ -38,11 +38,10 @@ class LatePackets:
     Args:
         order: order of the sweeps; packets that are returned must be fed to it before the next call.
         rate_Hz: sample rate, Hz.
-        waits: whether packets wait.
     """
 
-    def __init__(self, order: SweepOrder, rate_Hz: int, *, waits: bool) -> None:
-        self._order, self._rate_Hz, self._waits = order, rate_Hz, waits
+    def __init__(self, order: SweepOrder, rate_Hz: int) -> None:
+        self._order, self._rate_Hz = order, rate_Hz
         self._patience_ns = 0.0
         self._waiting: list[Arrived] = []
 
@@ -53,7 +52,7 @@ class LatePackets:
         """
         sweeps = arrived.sweeps
         place = self._place(arrived)
-        if place.late_ns and self._waits:
+        if place.late_ns:
             least_ns = _WAIT_PACKETS * len(sweeps.values) * 1e9 / self._rate_Hz
             self._patience_ns = min(_MAX_WAIT_NS, max(self._patience_ns, least_ns, _MORE * place.late_ns))
         if not self._patience_ns or place.state != "next" or not place.missing:

@@ -35,14 +35,15 @@ class Place:
 class SweepOrder:
     """See the module. Times of the beacon are those of synchronized sampling: all sweeps are on one grid.
 
+    The tick decides about packets of earlier times: one that fits is late, unless only such packets come, and one that
+    does not fit shows that the beacon's time was set.
+
     Args:
         rate_Hz: sample rate, Hz.
-        by_tick: whether the tick decides about packets of earlier times: one that fits is late, unless only such
-            packets come, and one that does not fit shows that the beacon's time was set. Otherwise their time decides.
     """
 
-    def __init__(self, rate_Hz: int, *, by_tick: bool = True) -> None:
-        self._rate_Hz, self._by_tick = rate_Hz, by_tick
+    def __init__(self, rate_Hz: int) -> None:
+        self._rate_Hz = rate_Hz
         self._next: tuple[int, int] | None = None  # tick and time, ns, of the sweep after the newest one
         self._host_ns = 0
         self._old = 0  # consecutive packets that are more than 1 s late
@@ -76,7 +77,7 @@ class SweepOrder:
         on_grid = abs(ahead_ns * self._rate_Hz / 1e9 - steps) < _OFF_GRID
         continues = on_grid and (tick - self._next[0] - steps) % _TICKS == 0
         is_old = ahead_ns < -_LATE_NS
-        if self._by_tick and steps < 0:
+        if steps < 0:
             is_old = not continues or (is_old and self._old >= _MAX_LATE_PACKETS)
         if is_old or ahead_ns > host_ns - self._host_ns + _MAX_HOST_LATE_NS:
             return Place("beacon")

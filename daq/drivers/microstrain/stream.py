@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.channels import Channel
-from daq.clock import ClockMap, ClockSeed, clock_rules
+from daq.clock import ClockMap, ClockSeed
 from daq.drivers.microstrain import wire
 from daq.drivers.microstrain.answers import Answer, beacon_of
 from daq.drivers.microstrain.framing import PacketSearch
@@ -30,8 +30,6 @@ from rig_basics.texts import number_of
 
 BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
-_FIRST_CONTACT_RULES = 10  # from which a node that was switched on before its first sample has not started again
-_LATE_RULES = 7  # from which late packets are put into order, and restarts of the base station are restarts
 _LAG_VALID_NS = 60_000_000_000
 _START_NS = 5_000_000_000  # after it was switched on, a node that samples by itself has sent sweeps; unverified
 _MAX_FOREIGN_EVENTS = 16
@@ -68,12 +66,10 @@ class MicroStrainPipeline:
         self.node_rssi_dBm: int | None = None
         self.repeated_packets: int = 0
         self._device, self._settings, self._quantities = device, settings, quantities
-        self._rules = clock_rules(identity)
-        self._is_new = self._rules >= _LATE_RULES
-        self._search = PacketSearch(settings.aspp, confirms=self._is_new)
-        self._order = SweepOrder(settings.rate_Hz, by_tick=self._is_new)
-        self._late = LatePackets(self._order, settings.rate_Hz, waits=self._is_new)
-        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._search = PacketSearch(settings.aspp)
+        self._order = SweepOrder(settings.rate_Hz)
+        self._late = LatePackets(self._order, settings.rate_Hz)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         known = identity.get(BEACON_LAG)
         self._lag: tuple[int, int | None] | None = (known, None) if type(known) is int else None
         self._index = 0  # number of the next sample
@@ -119,22 +115,19 @@ class MicroStrainPipeline:
     def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
         if packet.address == BASE_ADDRESS and packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
-        if packet.kind == wire.BEACON_ECHO and not packet.address and self._is_new:
+        if packet.kind == wire.BEACON_ECHO and not packet.address:
             return []
         if packet.address != self._settings.node_address:
             return self._foreign_packet(packet.address)
         return self._node_packet(packet, host_ns)
 
     def _node_packet(self, packet: wire.Packet, host_ns: int) -> Items:
-        if wire.is_discovery(packet) if self._is_new else packet.kind in wire.FIRST_DISCOVERIES:
-            self._switched_on_ns = host_ns if self._is_new else None
-            first = self._rules >= _FIRST_CONTACT_RULES and not self.has_reported
-            kind = "status" if first else "restart"  # before its first sample nothing of it is lost
+        if wire.is_discovery(packet):
+            self._switched_on_ns = host_ns
+            kind = "restart" if self.has_reported else "status"  # before its first sample nothing of it is lost
             return [DeviceEvent(kind, self._device, "the node reports that it was switched on")]
         if packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
-        if not self._is_new and packet.kind != wire.SYNC_SAMPLES:
-            return []
         version = self._settings.aspp
         try:
             payload = wire.sweeps_of(packet, version)
@@ -180,7 +173,7 @@ class MicroStrainPipeline:
             # no fault, and the next state of the beacon is a reply that the dialogue waits for.
             self._status_reported = False
             self.set_up_lost, self._switched_on_ns = "", None
-            self._is_beacon_new = self._is_new and self._index > 0
+            self._is_beacon_new = self._index > 0
         is_status = beacon is not None
         if beacon is not None:
             if beacon.is_on:
@@ -190,7 +183,7 @@ class MicroStrainPipeline:
             elif not self._is_off and self._status_reported:
                 out.append(self._beacon_is_off())
             self._is_off = not beacon.is_on
-        elif self._is_new and packet.kind == wire.BASE_ERROR and command == wire.BEACON_STATUS.to_bytes(2, "big"):
+        elif packet.kind == wire.BASE_ERROR and command == wire.BEACON_STATUS.to_bytes(2, "big"):
             is_status = True
             if self._status_reported:
                 out += self._timed_by_arrival(f"the base station refuses the query with code {packet.payload[-1]}")
@@ -202,9 +195,6 @@ class MicroStrainPipeline:
         return [*out, DeviceEvent("reply", self._device, text)]
 
     def _beacon_is_off(self) -> DeviceEvent:
-        if not self._is_new:
-            text = "the base station's beacon is off: the node stops sampling. Open the device again"
-            return DeviceEvent("fault", self._device, text)
         self.set_up_lost = "the base station's beacon is off"
         text = (
             f"{self.set_up_lost}: it has started again, or another program uses it. Look at its power. Until the "
@@ -214,7 +204,7 @@ class MicroStrainPipeline:
 
     def _timed_by_arrival(self, reason: str) -> Items:
         """Return the event that samples have the time of their arrival, once until the beacon's time is known again."""
-        if self._is_timed_by_arrival or not self._is_new:
+        if self._is_timed_by_arrival:
             return []
         self._is_timed_by_arrival = True
         text = (
@@ -255,9 +245,9 @@ class MicroStrainPipeline:
             out.append(DeviceEvent("restart", self._device, "the node started to sample again: its ticks restart"))
         elif place.state == "beacon":
             out.append(DeviceEvent("restart", self._device, "the beacon's time was set: the clock restarts"))
-            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm, self._rules), None
+            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm), None
         if self._is_beacon_new and place.state != "next":
-            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm, self._rules), False
+            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm), False
         self._missing += place.missing
         period_ns = 1e9 / self._settings.rate_Hz
         device_ns = sweeps.time_ns + np.rint(np.arange(len(sweeps.values)) * period_ns).astype(np.int64)

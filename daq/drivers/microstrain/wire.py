@@ -65,8 +65,6 @@ BEACON_ECHO = 0x10
 REPLIES = frozenset((NODE_COMMAND, NODE_ERROR, 0x20, NODE_SUCCESS, BASE_SUCCESS, BASE_ERROR, BASE_RECEIVED))
 DISCOVERIES = frozenset((0x07, 0x16, 0x17, 0x18))
 """Types of the packets by which a node reports that it was switched on."""
-FIRST_DISCOVERIES = frozenset((0x07, 0x17, 0x18))
-"""Those that are recognised before the rules of late packets; see `clock_rules`."""
 
 # commands
 PING, NODE_READ, START_SYNC, BASE_READ = 0x0001, 0x0007, 0x003B, 0x0073

@@ -41,7 +41,7 @@ class ModbusConverterDriver(PlainDriver):
         """See Driver."""
         from daq.drivers.modbus_converter.stream import ConverterPipeline  # imports pymodbus
 
-        return ConverterPipeline(device, settings, identity)
+        return ConverterPipeline(device, settings)
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""

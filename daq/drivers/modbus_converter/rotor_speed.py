@@ -7,8 +7,6 @@ import math
 from daq.drivers.modbus_converter import states
 from daq.drivers.modbus_converter.settings import ModbusConverter
 
-DROP_OUT_RULES = 6
-"""First rules by which a speed of 0 is doubted unless a stop or the communication timeout explains it."""
 _SLACK = 1.5  # factor on the drop of speed that a stop along a ramp can cause between two reports
 
 
@@ -21,11 +19,10 @@ class RotorSpeed:
 
     Args:
         settings: table of the converter in the rig file.
-        rules: rules for decoding, see `clock_rules`.
     """
 
-    def __init__(self, settings: ModbusConverter, rules: int) -> None:
-        self._settings, self._doubts = settings, rules >= DROP_OUT_RULES
+    def __init__(self, settings: ModbusConverter) -> None:
+        self._settings = settings
         self._ran: tuple[int, float] | None = None  # time and speed of the last report while running
         self._doubted = False  # whether the last report was "running" with a speed of 0 that no ramp explains
         self._released = False  # whether the output was switched off at speed
@@ -42,7 +39,7 @@ class RotorSpeed:
         rest = self._settings.rest_rpm
         if state == states.RUNNING:
             ran, self._released = self._ran, False
-            if self._doubts and not self._doubted and ran is not None and abs(rpm) <= rest:
+            if not self._doubted and ran is not None and abs(rpm) <= rest:
                 self._doubted = abs(ran[1]) > self._largest_drop(ran[0], host_ns, stopping=stopping)
                 if self._doubted:
                     return math.nan
@@ -66,6 +63,6 @@ class RotorSpeed:
         """
         s, elapsed_s = self._settings, (host_ns - since_ns) * 1e-9
         rate = s.quick_rpm_per_s
-        if self._doubts and not stopping:
+        if not stopping:
             rate, elapsed_s = s.ramp_rpm_per_s, max(0.0, elapsed_s - s.watchdog_s)
         return _SLACK * rate * elapsed_s + s.rest_rpm

@@ -88,20 +88,12 @@ class ModbusConverter(DeviceSettings):
     @property
     def blocks(self) -> tuple[tuple[int, int], ...]:
         """First register and number of registers of the reads of one report; the one with the speed is the last."""
-        return self.blocks_of(self.registers.reads_gaps)
-
-    def blocks_of(self, across_gaps: bool) -> tuple[tuple[int, int], ...]:
-        """Return the reads of one report, see `blocks`.
-
-        Args:
-            across_gaps: whether one read may also span registers that are not used.
-        """
         r = self.registers
         blocks: list[tuple[int, int]] = []
         wanted: set[int] = {r.status, r.speed} if r.fault_code is None else {r.status, r.speed, r.fault_code}
         for register in sorted(wanted):
             first, count = blocks[-1] if blocks else (-_LONGEST_BLOCK, 0)
-            longest = _LONGEST_BLOCK if across_gaps else count + 1
+            longest = _LONGEST_BLOCK if r.reads_gaps else count + 1
             if register - first < longest:
                 blocks[-1] = first, register - first + 1
             else:

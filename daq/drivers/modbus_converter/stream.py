@@ -6,16 +6,13 @@ late answer fits the next request (`line.RequestLine`). A converter has no clock
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.clock import clock_rules
 from daq.drivers.modbus_converter import states, wire
-from daq.drivers.modbus_converter.rotor_speed import DROP_OUT_RULES, RotorSpeed
+from daq.drivers.modbus_converter.rotor_speed import RotorSpeed
 from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
@@ -52,15 +49,13 @@ class ConverterPipeline:
         echoes: whether the adapter returns the host's own bytes.
     """
 
-    def __init__(self, device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> None:
+    def __init__(self, device: str, settings: ModbusConverter) -> None:
         kinds = ("unanswered", "damaged_answers", "damaged_bytes", "late", "refused")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self.answers: list[wire.Answer] = []
         self.reports: list[Report] = []
         self._device, self._settings, self._registers = device, settings, settings.registers
-        rules = clock_rules(identity)
-        self._blocks = settings.blocks_of(settings.registers.reads_gaps or rules < DROP_OUT_RULES)
-        self._revised = rules >= DROP_OUT_RULES  # drops echoes, derives restarts, reports refusals by register
+        self._blocks = settings.blocks
         self.echoes: bool = False
         self._request: wire.Request | None = None
         self._returned = b""  # bytes of the request that the adapter may return
@@ -71,7 +66,7 @@ class ConverterPipeline:
         self._words: dict[int, int] = {}  # registers of the present report
         self._control, self._reference = settings.registers.stop, 0
         self._status: tuple[int, int] | None = None
-        self._rotor = RotorSpeed(settings, rules)
+        self._rotor = RotorSpeed(settings)
         self._watchdog: int | None = None  # communication timeout that the host has set; None if it was before the log
         self._stopping = False  # whether the last command in the log is a stop
         self._refusals: dict[tuple[int, int], str] = {}  # reasons by function and register, until an answer
@@ -99,7 +94,7 @@ class ConverterPipeline:
             return self._unexpected(surplus)
         before, end, answer = found
         after = len(self._received) - end
-        if self._revised and answer.request.function in wire.READS and self._returned:
+        if answer.request.function in wire.READS and self._returned:
             self.echoes = bytes(self._received[:before]) == self._returned
             before = 0 if self.echoes else before
         self._request = None
@@ -131,7 +126,7 @@ class ConverterPipeline:
             else:
                 self.losses["unanswered"] += 1
         self._request, self._asked_ns, self._asked_once = request, host_ns, True
-        self._returned = data if self._revised else b""
+        self._returned = data
         self._received.clear()
         r = self._registers
         for register, value in enumerate(request.values, request.register):
@@ -154,8 +149,7 @@ class ConverterPipeline:
     def _answered(self, answer: wire.Answer, host_ns: int) -> Items:
         if answer.exception:
             return self._refused(answer)
-        if self._revised:
-            self._refusals.pop((answer.request.function, answer.request.register), None)
+        self._refusals.pop((answer.request.function, answer.request.register), None)
         if answer.request.function not in wire.READS:
             return []
         reply = DeviceEvent("reply", self._device, " ".join(map(str, answer.registers)), {})
@@ -176,7 +170,7 @@ class ConverterPipeline:
         request = answer.request
         what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
         text = f"it refuses {what} register {request.register}: {answer.refusal}"
-        of = (request.function, request.register) if self._revised else (0, 0)
+        of = request.function, request.register
         before, self._refusals[of] = self._refusals.get(of), text
         reply = DeviceEvent("reply", self._device, text, {})
         new = text != before
@@ -188,7 +182,7 @@ class ConverterPipeline:
         A restart that begins while the rotor turns stops the rig. At rest the operator gets a warning.
         """
         r = self._registers
-        if not self._revised or (answer.request.register, answer.request.count) != (r.watchdog, 1):
+        if (answer.request.register, answer.request.count) != (r.watchdog, 1):
             return []
         found, wanted = answer.registers[0], self._watchdog
         if wanted == 0 or 0 < found <= (0xFFFF if wanted is None else wanted):

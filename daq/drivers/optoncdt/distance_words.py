@@ -75,7 +75,7 @@ SCALINGS = {
 """Scalings, by a model that has it. Sources: ILD1420 manual, scaling of the 16-bit distance, −1 … 101 % of the range;
 for the ILD1750 and ILD1900, of 18 bits, the manuals of the IF2030 and IF2035 field-bus converters."""
 USUAL_SCALING = "ILD1420"
-"""Scaling for logs that do not contain one."""
+"""Scaling of a sensor that was not queried."""
 
 
 SHORT_TIMESTAMP = frozenset({"2300"})

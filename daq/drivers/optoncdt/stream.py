@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
+from daq.clock import ClockMap, ClockSeed, Unwrap, steps_from
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
@@ -25,7 +25,6 @@ from rig_basics.texts import number_of
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock
 
-_BARREN_RULES = 7  # first rules by which bytes that never gave a block are counted
 _MOST_BEFORE_FIRST = 1024  # bytes before the first block that are not counted; a block has at most 96
 
 _MOST_CODES = 32  # different error codes that are counted
@@ -58,7 +57,7 @@ class LaserPipeline:
         self._may_be_short = distance_words.model_of(str(identity.get("name", ""))) in distance_words.SHORT_TIMESTAMP
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
-        usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it
+        usual = config.scaling or distance_words.USUAL_SCALING  # of a sensor that was not queried
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
         words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
@@ -67,7 +66,7 @@ class LaserPipeline:
         self._trial: WordsTrial | None = None
         self._reported_lines = 0  # lines already reported that the decoder has not reached yet
         self._unusable_reported = False
-        self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
+        self._tolerance_ppm = config.clock_tolerance_ppm
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._before_first = 0  # bytes skipped before the first block
@@ -76,7 +75,7 @@ class LaserPipeline:
         self._reported_period = self._nominal_ticks
         self._set_up = SetUpWatch()
         self._restart()
-        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._clock = ClockMap(self._tolerance_ppm, ClockSeed.of(identity))
 
     @property
     def complaint(self) -> str:
@@ -104,7 +103,7 @@ class LaserPipeline:
 
     def _restart(self) -> None:
         self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
-        self._clock = ClockMap(self._tolerance_ppm, self._rules)
+        self._clock = ClockMap(self._tolerance_ppm)
         self._last: tuple[int, int] | None = None  # counter, and unwrapped ticks
         self._spikes = SpikeWatch(self._scaling.most)
 
@@ -155,7 +154,7 @@ class LaserPipeline:
         The rest of a block in which the stream was joined does not count. Many bytes are another stream.
         """
         before, self._before_first = self._before_first, self._before_first + skipped
-        if self._before_first <= _MOST_BEFORE_FIRST or self._rules < _BARREN_RULES:
+        if self._before_first <= _MOST_BEFORE_FIRST:
             return 0
         if before > _MOST_BEFORE_FIRST:
             return skipped

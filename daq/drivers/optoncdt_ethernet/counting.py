@@ -34,12 +34,10 @@ class FrameCounter:
 
     Args:
         counts: what the counter counts.
-        is_open: whether the second meaning and 24 bits are considered.
     """
 
-    def __init__(self, counts: Counts, *, is_open: bool = True) -> None:
+    def __init__(self, counts: Counts) -> None:
         self._of_frames = counts == "frames"
-        self._is_open = is_open
         self._counter: int | None = None
         self._frames = 0
         self._steps = [0, 0]  # that fit only the counter of the first frame, and of the end
@@ -59,16 +57,16 @@ class FrameCounter:
             return 0
         step = (counter - before) % COUNTER_WRAP
         fits_other = min(previous, frames) > 1 and (step == 1 if self._of_frames else step in (previous, frames))
-        self._others = self._others + 1 if fits_other and self._is_open else 0
+        self._others = self._others + 1 if fits_other else 0
         if self._others and self._of_frames:
             return 0  # no restart: `contradiction` states it
-        if self._is_open and self._of_frames and previous != frames and step in (previous, frames):
+        if self._of_frames and previous != frames and step in (previous, frames):
             self._learn(int(step == frames))
         expected = 1 if not self._of_frames else frames if self.of_end else previous
         missing = step - expected
         if 0 <= missing < _RESTART_FRAMES:
             return missing
-        is_wrap = self._is_open and before < _SHORT_WRAP and (counter - before) % _SHORT_WRAP == expected
+        is_wrap = before < _SHORT_WRAP and (counter - before) % _SHORT_WRAP == expected
         return 0 if is_wrap else None
 
     @property

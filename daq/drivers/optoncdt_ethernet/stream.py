@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, ClockSeed, clock_rules
+from daq.clock import ClockMap, ClockSeed
 from daq.drivers.optoncdt_ethernet import distances, wire
 from daq.drivers.optoncdt_ethernet.counting import FrameCounter, LeastDelay, RateChange
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
@@ -22,7 +22,6 @@ from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
-_CHECKED_RULES = 6  # from which cut packets, other frames, flags and rates, and impossible counters are recognised
 
 Items = list[Batch | DeviceEvent]
 
@@ -46,10 +45,8 @@ class EthernetPipeline:
         self._device, self._channel, self._settings = device, channel, settings
         self._place = settings.words.index("DIST")
         self._period_ns = 1e9 / settings.rate_Hz
-        self._rules = clock_rules(identity)
-        self._checks = self._rules >= _CHECKED_RULES
-        self._decoder = wire.PacketDecoder(len(settings.words), finds_cuts=self._checks)
-        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._decoder = wire.PacketDecoder(len(settings.words))
+        self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         known = identity.get("serial")
         self._wanted = settings.serial_number or (
             known if isinstance(known, int) else 0
@@ -57,7 +54,7 @@ class EthernetPipeline:
         self._serial: tuple[int, int] | None = None  # order and serial number
         self._flags: list[tuple[int, int]] = []  # of the first and of the newest packet of the wanted sensor
         self._frame_size = wire.FrameSize()
-        self._counter = FrameCounter(settings.counts, is_open=self._checks)
+        self._counter = FrameCounter(settings.counts)
         self._delay = LeastDelay()
         self._rate = RateChange(settings.rate_Hz)
         self._next: int | None = None  # number of the next sample
@@ -111,7 +108,7 @@ class EthernetPipeline:
             words.append(packet.frames[:, self._place])
         if words:
             out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
-        if found.packets and self._next is not None and self._checks and not self._skips:
+        if found.packets and self._next is not None and not self._skips:
             self._delay.feed(self._next * self._period_ns, host_ns)
             out += self._rated(self._next, host_ns)
         return out
@@ -129,7 +126,7 @@ class EthernetPipeline:
                 out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         if found.packets:
             self._frame_size.clear()
-        elif self._checks and not self._misfits and (size := self._frame_size.feed(found.misfits)) is not None:
+        elif not self._misfits and (size := self._frame_size.feed(found.misfits)) is not None:
             self._misfits = True
             names = ", ".join(self._settings.words)
             text = (
@@ -151,7 +148,7 @@ class EthernetPipeline:
         another place in the frame.
         """
         own = packet.order, packet.serial
-        if own == self._serial and not self._misfits and (packet.flags == self._flags[-1] or not self._checks):
+        if own == self._serial and not self._misfits and packet.flags == self._flags[-1]:
             return []
         self._misfits = False
         self._serial, self.has_reported = own, True
@@ -165,14 +162,14 @@ class EthernetPipeline:
                 "the sensor before: look at its port",
                 {"serial": packet.serial},
             )
-        if self._checks and packet.flags != self._flags[0]:
+        if packet.flags != self._flags[0]:
             return self._complain(
                 f"the sensor's settings were changed: its packets have the flags {_hex(packet.flags)}, expected "
                 f"{_hex(self._flags[0])}, those of its first packet. Select the values and the rate as before, or "
                 "correct the rig file and begin again",
                 {"flags_1": packet.flags[0], "flags_2": packet.flags[1]},
             )
-        return self._named(packet.flags) if self._checks and not self.doubt else []
+        return [] if self.doubt else self._named(packet.flags)
 
     def _named(self, flags: tuple[int, int]) -> Items:
         """Report once that the flags name other values than the rig file. The samples are taken all the same."""
@@ -203,7 +200,7 @@ class EthernetPipeline:
             return []
         lost = 0 if missing is None else missing if of_frames else missing * count
         end_ns = (self._next + lost + count) * self._period_ns
-        if missing is None or (self._checks and not self._delay.is_possible(end_ns, host_ns)):
+        if missing is None or not self._delay.is_possible(end_ns, host_ns):
             if of_frames:
                 self._next = packet.counter
             return self._restarted("its counter does not continue: the sensor started again")
@@ -211,7 +208,7 @@ class EthernetPipeline:
         return [self._lost(lost, 0 if of_frames else missing)]
 
     def _restarted(self, text: str) -> Items:
-        self._clock = ClockMap(self._settings.clock_tolerance_ppm, self._rules)
+        self._clock = ClockMap(self._settings.clock_tolerance_ppm)
         self._delay.clear()
         self._rate.clear()
         return [DeviceEvent("restart", self._device, text)]

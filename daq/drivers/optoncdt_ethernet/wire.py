@@ -119,13 +119,10 @@ class PacketDecoder:
     Args:
         words: number of words of a frame. The manual's figures disagree on the order of the number of frames and the
             number of bytes of a frame; the order is the one that fits the words.
-        finds_cuts: whether a packet that ends early, since its connection broke, is skipped. Otherwise the header of
-            the next packet is read as frames.
     """
 
-    def __init__(self, words: int, *, finds_cuts: bool = True) -> None:
+    def __init__(self, words: int) -> None:
         self._frame_bytes = 4 * words
-        self._finds_cuts = finds_cuts
         self._rest = b""
 
     def feed(self, data: bytes) -> DecodedPackets:
@@ -167,8 +164,6 @@ class PacketDecoder:
 
     def _cut(self, stream: bytes, at: int, end: int) -> int | None:
         """Return the place of the next header of the same sensor within a packet; None if the packet has none."""
-        if not self._finds_cuts:
-            return None
         own = stream[at : at + _OWN_BYTES]
         place = stream.find(own, at + HEADER_BYTES, end)
         if place >= 0:

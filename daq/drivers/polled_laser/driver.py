@@ -47,7 +47,7 @@ class PolledLaserDriver(PlainDriver):
         from daq.drivers.polled_laser.stream import PolledPipeline
 
         (channel,) = self.channels(settings)
-        return PolledPipeline(device, settings, channel, identity)
+        return PolledPipeline(device, settings, channel)
 
     def poller(self, settings: PolledLaser, send: Callable[[bytes], None], clock: HostClock) -> Poller:
         """See AnswersOnRequest."""

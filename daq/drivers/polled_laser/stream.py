@@ -8,15 +8,12 @@ a probe (see `daq.drivers.polled_laser.poller`) and its answer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import clock_rules
 from daq.drivers.polled_laser import wire
 from daq.drivers.polled_laser.settings import PolledLaser
 from daq.items import TX, Batch, DeviceEvent
@@ -28,12 +25,11 @@ _REFUSALS = 3
 """Least number of refusals in a row that are a fault. Fewer are lost samples."""
 _REFUSING_S = 2.0
 """Least duration of refusals that are a fault, s: a sensor refuses for a moment while it is being operated."""
-_NAMED_RULES = 7  # from which texts without a value are named, block checks compared, and short refusals no fault
 _AGREED = 3  # right block checks in a row after which a wrong one is damage: its definition is not verified
 CODES = {"": 0, "over": 1, "under": 2, "nothing": 3, "error": 4}
-"""Code of a sample by the state of its answer, from decoding rules 7 on."""
+"""Code of a sample by the state of its answer."""
 BEYOND_CODE = 5
-"""Code of a sample with a value beyond the range of the rig file, from decoding rules 7 on."""
+"""Code of a sample with a value beyond the range of the rig file."""
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -48,21 +44,13 @@ class PolledPipeline:
             answers without a reading.
     """
 
-    def __init__(
-        self,
-        device: str,
-        settings: PolledLaser,
-        channel: channels.Channel,
-        identity: Mapping[str, Any] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, device: str, settings: PolledLaser, channel: channels.Channel) -> None:
         kinds = ("samples", "damaged_lines", "unasked", "refused", "invalid")
         self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self._device, self._channel, self._output = device, channel, settings.output
         self._dialect = wire.DIALECTS[settings.dialect]
         self._sensor_m, self._lever, self._range_m = settings.metres_per_unit, settings.lever_ratio, settings.range_m
         self._delay_ns = round(settings.delay_s * 1e9)
-        self._rules = clock_rules(identity)
-        self._names = self._rules >= _NAMED_RULES
         self._request, self._probe = self._dialect.request(settings.output), self._dialect.probe(settings.output)
         self._probes = 0  # probes sent and not answered
         self._has_probed = self._is_probed = False  # whether a probe was sent, and one answered
@@ -123,7 +111,7 @@ class PolledPipeline:
         return [DeviceEvent("gap", self._device, text, {"samples": 1})]
 
     def _answered(self, line: bytes, joined: bool, host_ns: int) -> Items:
-        found = self._read(line)
+        found = self._dialect.parse(line, self._output) if len(line) <= wire.LONGEST_LINE_BYTES else None
         if self._is_of_probe(line, found):
             self._probes, self._is_probed = 0, True
             return []
@@ -146,12 +134,6 @@ class PolledPipeline:
         self._refusals, self._refusing_ns, self._is_fault = 0, None, False
         return [reply, *self._report_beyond(found, line), self._sample(found, asked_ns, host_ns)]
 
-    def _read(self, line: bytes) -> wire.Reading | wire.Refusal | None:
-        """Read an answer, by the rules of the log."""
-        found = self._dialect.parse(line, self._output) if len(line) <= wire.LONGEST_LINE_BYTES else None
-        is_newer = isinstance(found, wire.Reading) and found.since > self._rules
-        return None if is_newer else found
-
     def _is_of_probe(self, line: bytes, found: wire.Reading | wire.Refusal | None) -> bool:
         """Whether a line answers a probe; one may be refused like a request for a value."""
         is_refused = self._probes > 0 and isinstance(found, wire.Refusal)
@@ -159,7 +141,7 @@ class PolledPipeline:
 
     def _is_altered(self, found: wire.Reading | wire.Refusal) -> bool:
         """Compare the block check, once some have shown that the sensor calculates it as is assumed here."""
-        if not self._names or isinstance(found, wire.Refusal) or found.check is None:
+        if isinstance(found, wire.Refusal) or found.check is None:
             return False
         is_altered = not found.check and self._agreed >= _AGREED
         self._agreed = self._agreed + 1 if found.check else self._agreed if is_altered else 0
@@ -170,10 +152,10 @@ class PolledPipeline:
         if not joined or is_echo:  # cut at its beginning, or the line's echo
             return []
         self.losses["damaged_lines"] += 1
-        if self._names and self._dialect.is_foreign(line, self._output):
+        if self._dialect.is_foreign(line, self._output):
             what = "of another sensor, or sent without a request"
         out: Items = [DeviceEvent("damage", self._device, f"{what}: {line[:40]!r}", {"lines": 1})]
-        if self._names and not self._has_answered:  # the dialogue shows it to the operator
+        if not self._has_answered:  # the dialogue shows it to the operator
             out.append(DeviceEvent("reply", self._device, line[:40].decode("latin-1")))
         return out
 
@@ -183,19 +165,17 @@ class PolledPipeline:
         self._refusals += 1
         if self._refusing_ns is None:
             self._refusing_ns = host_ns
-        lasts = not self._names or host_ns - self._refusing_ns >= _REFUSING_S * 1e9
+        lasts = host_ns - self._refusing_ns >= _REFUSING_S * 1e9
         if self._is_fault or self._refusals < _REFUSALS or not lasts:
             return []
         self._is_fault = True
-        text = f"the sensor refuses its request: {found.why}"
-        if self._names:
-            text += ". Is it being set up? Return it to its measuring state"
+        text = f"the sensor refuses its request: {found.why}. Is it being set up? Return it to its measuring state"
         return [DeviceEvent("fault", self._device, text)]
 
     def _report_beyond(self, found: wire.Reading, line: bytes) -> Items:
         """Report the first one of values beyond the range: the sensor may have been set to another unit."""
         was_beyond = self._is_beyond
-        self._is_beyond = self._names and self._code(found) == BEYOND_CODE
+        self._is_beyond = self._code(found) == BEYOND_CODE
         if was_beyond or not self._is_beyond:
             return []
         metres = abs(found.value * self._sensor_m)
@@ -206,8 +186,6 @@ class PolledPipeline:
         return [DeviceEvent("status", self._device, text, {"displacement_m": metres})]
 
     def _code(self, found: wire.Reading) -> int:
-        if not self._names:
-            return 0
         if found.state:
             return CODES[found.state]
         return 0 if abs(found.value * self._sensor_m) <= self._range_m else BEYOND_CODE
@@ -216,7 +194,7 @@ class PolledPipeline:
         time_ns = max(self._last_ns + 1, (asked_ns + host_ns) // 2 - self._delay_ns)
         away = found.value * self._sensor_m / self._lever
         code = self._code(found)
-        if code or not abs(found.value * self._sensor_m) <= self._range_m:
+        if code:
             away = float("nan")
             self.losses["invalid"] += 1
         self._lost, self._last_ns = 0, time_ns

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 
 LONGEST_LINE_BYTES = 120
@@ -25,7 +25,6 @@ _REFUSED = re.compile(rb"ER,([A-Z0-9%#]{1,4}),(\d{1,3})")
 _PANASONIC = re.compile(rb"%(\d\d)\$RMD([+-]\d{7})(\*\*|[0-9A-F]{2})")
 _PANASONIC_REFUSED = re.compile(rb"%(\d\d)!(\d{1,3})(\*\*|[0-9A-F]{2})?")
 _PANASONIC_FARTHEST = 9_500_000  # the largest value that is a measurement, 0.1 µm
-_NAMED_RULES = 7  # from which the texts that are `since` this number are read
 
 KEYENCE_REFUSALS = {
     0: "unknown command",
@@ -59,14 +58,11 @@ class Reading:
     Attributes:
         value: in the dialect's unit; NaN without a reading, or the number that the sensor sends instead of one.
         state: why there is none: "over", "under", "nothing" or "error"; empty with a reading.
-        since: number of the decoding rules from which such an answer is read, see `daq.clock.clock_rules`; before them
-            it was a damaged line.
         check: whether the answer's block check is right; None without a block check.
     """
 
     value: float
     state: str = ""
-    since: int = 1
     check: bool | None = None
 
 
@@ -152,10 +148,7 @@ def _lkg5_parse(line: bytes, output: int) -> Reading | Refusal | None:
     if head not in (b"MS,%02d" % output, b"MS"):
         return _refused(line)
     found = _value(value)
-    if found and head != b"MS" and len(value) >= 8:
-        return found
-    is_whole = found and (len(value) >= 8 or found.state)
-    return replace(found, since=_NAMED_RULES) if found and is_whole else None
+    return found if found and (len(value) >= 8 or found.state) else None
 
 
 def _il_parse(line: bytes, output: int) -> Reading | Refusal | None:
@@ -165,7 +158,7 @@ def _il_parse(line: bytes, output: int) -> Reading | Refusal | None:
     text = values[output]
     for state, known in _IL_STATES.items():
         if known.fullmatch(text):
-            return Reading(math.nan, state, _NAMED_RULES) if state == "error" else Reading(float(text), state)
+            return Reading(math.nan if state == "error" else float(text), state)
     return _value(text)
 
 

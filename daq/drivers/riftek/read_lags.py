@@ -37,14 +37,13 @@ class ReadLags:
 
     Args:
         period_ns: sampling period, ns.
-        looks_back: whether losses are also found by the least lags of eight intervals, as in logs of rules 10.
 
     Attributes:
         since_s: longest time since the loss that was found last, s.
     """
 
-    def __init__(self, period_ns: int, *, looks_back: bool = True) -> None:
-        self._period_ns, self._looks_back = period_ns, looks_back
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
         self.since_s: float = 0.0
         self._interval_ns = max(_INTERVAL_NS, _INTERVAL_PERIODS * period_ns)
         self._done: deque[tuple[int, float]] = deque(maxlen=_MAX_INTERVALS)  # index of an interval, its least lag, ns
@@ -101,7 +100,7 @@ class ReadLags:
             return 0
         self._done.append((number, lag))
         lost, count = self._rise(), _RISEN_INTERVALS
-        if not lost and self._looks_back:
+        if not lost:
             lost, count = self._long_rise(), _MAX_INTERVALS // 3
         if lost:
             self.since_s = (count + 2) * self._interval_ns * 1e-9

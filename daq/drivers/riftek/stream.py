@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, clock_rules
+from daq.clock import ClockMap
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
 from daq.drivers.riftek.read_lags import ReadLags
@@ -48,8 +48,6 @@ NOT_NEW = 0x2
 _NO_READING = 0x3FFFF  # code for the spike detector: above any reading
 _WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
 _MAX_WAIT_ROWS = 65_536  # results that may wait
-_LONG_RULES = 10  # first rules by which smaller losses on a busy host are found after 2 s
-_LOSS_AT_COMMAND_RULES = 7  # first rules by which only a stop or start of the stream ends a wait, as the log's end does
 
 Items = list[Batch | DeviceEvent]
 
@@ -125,9 +123,8 @@ class RiftekPipeline:
         self._period_ns = 1000 * settings.period_us
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = ResultDecoder()
-        self._rules = clock_rules(identity)
-        self._lags = ReadLags(self._period_ns, looks_back=self._rules >= _LONG_RULES)
-        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules)
+        self._lags = ReadLags(self._period_ns)
+        self._clock = ClockMap(settings.clock_tolerance_ppm)
         self._spikes = SpikeWatch()
         self._number = -1  # number of the last sample returned, including lost ones
         self._given = 0  # samples returned
@@ -156,9 +153,7 @@ class RiftekPipeline:
         if direction == TX:
             self._decoder.expect(wire.awaited(data))
             self._rate.sent(data)
-            if self._rules >= _LOSS_AT_COMMAND_RULES:
-                return self._ended(host_ns) if wire.codes_of(data) & {wire.START, wire.STOP} else []
-            return self._release(0, host_ns) if self._waiting is not None else []
+            return self._ended(host_ns) if wire.codes_of(data) & {wire.START, wire.STOP} else []
         if not data:
             return self._ended(host_ns)
         found = self._decoder.feed(data)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -29,10 +28,6 @@ _BEHIND = 8  # packets that come twice or late are at most so many numbers behin
 _PACE = 0.5  # packets between two reads, from which the second one was not waiting behind the first
 _SETTLED, _SETTLED_S = 2, 0.25  # packets at the usual pace, and time, after which a contradiction is a restart
 _MOST_HELD = NUMBERS
-ORDER_RULES = 6
-"""First rules of a log by which packets that contradict the host's time wait for those after them."""
-_MAX_OFF_S = 1.0  # rules before ORDER_RULES: difference of the numbers' time from the host's that shows a restart
-_MAX_LATE = 3  # rules before ORDER_RULES: consecutive packets that come twice or late; more show a restart
 
 
 @dataclass(frozen=True)
@@ -52,32 +47,14 @@ class Placed:
     is_restart: bool
 
 
-class Order(Protocol):
-    """Places packets.
-
-    Attributes:
-        repeated: number of packets that came twice or too late.
-    """
-
-    repeated: int
-
-    def take(self, packet: Packet, host_ns: int) -> list[Placed]:
-        """Return the packets whose place is known with this one; the others are held."""
-        ...
-
-    def end(self) -> list[Placed]:
-        """Return the packets that are held; the log ends."""
-        ...
-
-
 class PacketOrder:
-    """See Order and the module.
+    """Places packets; see the module.
 
     Args:
         rate_Hz: sampling rate by the rig file, Hz.
 
     Attributes:
-        repeated: see Order.
+        repeated: number of packets that came twice or too late.
     """
 
     def __init__(self, rate_Hz: float) -> None:
@@ -90,7 +67,7 @@ class PacketOrder:
         self._settled = 0  # held packets that came at the usual pace
 
     def take(self, packet: Packet, host_ns: int) -> list[Placed]:
-        """See Order."""
+        """Return the packets whose place is known with this one; the others are held."""
         if not self._seen:
             return [self._place(packet, host_ns, self._count, is_restart=True, is_first=True)]
         ahead = (packet.number - self._number) % NUMBERS
@@ -124,7 +101,7 @@ class PacketOrder:
         return []
 
     def end(self) -> list[Placed]:
-        """See Order."""
+        """Return the packets that are held; the log ends."""
         return self._undecided()
 
     def _after_held(self, packet: Packet, host_ns: int) -> list[Placed]:
@@ -199,39 +176,3 @@ class PacketOrder:
         first, last = int(np.argmin(lag[:quarter])), len(lag) - quarter + int(np.argmin(lag[-quarter:]))
         own = float((times[last] - times[first]) / (counts[last] - counts[first]))
         return own if abs(own / nominal - 1) * len(counts) > _MISMATCH_PACKETS else nominal
-
-
-class FirstOrder:
-    """The order by the rules before ORDER_RULES, for logs that were recorded by them. Arguments as in PacketOrder."""
-
-    def __init__(self, rate_Hz: float) -> None:
-        self.repeated: int = 0
-        self._packet_s = RESULTS / rate_Hz
-        self._newest: tuple[int, int] | None = None  # number of the newest packet; its host time, ns
-        self._late = 0  # number of consecutive packets that came twice or late
-
-    def take(self, packet: Packet, host_ns: int) -> list[Placed]:
-        """See Order."""
-        steps, is_restart = self._steps(packet.number, host_ns)
-        if steps <= 0 and not is_restart and self._late < _MAX_LATE:
-            self._late += 1
-            self.repeated += 1
-            return []
-        is_restart |= steps <= 0
-        self._late = 0
-        self._newest = packet.number, host_ns
-        return [Placed(packet, host_ns, 0 if is_restart else steps - 1, is_restart)]
-
-    def end(self) -> list[Placed]:
-        """See Order: no packet is held."""
-        return []
-
-    def _steps(self, number: int, host_ns: int) -> tuple[int, bool]:
-        """Return the number of packets since the newest one, and whether the sensor started again."""
-        if self._newest is None:
-            return 1, False
-        newest, newest_ns = self._newest
-        passed = (host_ns - newest_ns) * 1e-9 / self._packet_s
-        ahead = (number - newest + NUMBERS // 2) % NUMBERS - NUMBERS // 2
-        steps = ahead + NUMBERS * round((passed - ahead) / NUMBERS)
-        return steps, abs(steps - passed) * self._packet_s > max(_MAX_OFF_S, 4 * self._packet_s)

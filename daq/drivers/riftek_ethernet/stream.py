@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, ClockSeed, clock_rules
+from daq.clock import ClockMap, ClockSeed
 from daq.drivers.riftek.wire import FULL_SCALE, metres
 from daq.drivers.riftek_ethernet import wire
 from daq.drivers.riftek_ethernet.identity import words_for
-from daq.drivers.riftek_ethernet.order import ORDER_RULES, FirstOrder, Order, PacketOrder, Placed
+from daq.drivers.riftek_ethernet.order import PacketOrder, Placed
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
@@ -43,16 +43,12 @@ class RiftekEthernetPipeline:
         self.has_reported: bool = False
         self.complaint: str = ""
         self._device, self._settings, self._channel = device, settings, channel
-        self._rules = clock_rules(identity)
-        self._judges = self._rules >= ORDER_RULES  # else everything is as it was when the log was recorded
         known = identity.get("serial")
         self._wanted = settings.serial_number or (known if type(known) is int else 0)  # 0: the first one
-        self._decoder = wire.PacketDecoder(
-            settings.range_mm, settings.checksum, keeps_first=self._judges, serial=self._wanted
-        )
-        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._decoder = wire.PacketDecoder(settings.range_mm, settings.checksum, serial=self._wanted)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         self._period_ns = 1e9 / settings.rate_Hz
-        self._order: Order = (PacketOrder if self._judges else FirstOrder)(settings.rate_Hz)
+        self._order = PacketOrder(settings.rate_Hz)
         self._serial: int | None = None
         self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor, or of the first read
         self._next = 0  # number of the next sample
@@ -82,7 +78,7 @@ class RiftekEthernetPipeline:
         self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
         found = self._decoder.feed(data)
         if found.skipped_bytes:
-            is_named = self._judges and not found.packets
+            is_named = not found.packets
             received = words_for(data, self._settings.range_mm, self._settings.checksum) if is_named else ""
             out.append(self._damage(found.skipped_bytes, received))
         for packet in found.packets:
@@ -98,7 +94,7 @@ class RiftekEthernetPipeline:
 
     def _is_between(self, serial: int, host_ns: int) -> bool:
         """Return whether a packet is of another sensor, while the expected one still sends to the same port."""
-        if not self._judges or self._heard_ns is None or serial == (self._wanted or serial):
+        if self._heard_ns is None or serial == (self._wanted or serial):
             return False
         return host_ns - self._heard_ns < max(_OTHER_S * 1e9, _OTHER_PACKETS * wire.RESULTS * self._period_ns)
 
@@ -120,7 +116,7 @@ class RiftekEthernetPipeline:
     def _placed(self, placed: Placed) -> Items:
         out: Items = []
         if placed.is_restart:
-            self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm, self._rules), 0
+            self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm), 0
             out.append(DeviceEvent("restart", self._device, "its packets' number does not continue: it started again"))
         elif placed.lost:
             lost = placed.lost * wire.RESULTS

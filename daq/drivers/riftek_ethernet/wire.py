@@ -92,16 +92,16 @@ class PacketDecoder:
     Args:
         range_mm: measuring range of the sensor, mm.
         check: what the check is; packets whose check is wrong are skipped.
-        keeps_first: whether packets of the first sensor are still recognised at once when those of another one were.
-        serial: serial number of this first sensor; 0: that of the first packet.
+        serial: serial number of the first sensor, whose packets are still recognised at once when those of another one
+            were; 0: that of the first packet.
     """
 
-    def __init__(self, range_mm: int, check: Check, *, keeps_first: bool = True, serial: int = 0) -> None:
+    def __init__(self, range_mm: int, check: Check, *, serial: int = 0) -> None:
         self._range_mm = range_mm
         self._check: Check = check
         self._rest = b""
         self._before = 0  # number of bytes before these
-        self._keeps_first, self._serial = keeps_first, serial
+        self._serial = serial
         self._first: tuple[int, int, int] | None = None
         self._sensor: tuple[int, int, int] | None = None
         self._others: dict[int, tuple[int, int, int]] = {}  # identities of possible other sensors, by position
@@ -142,7 +142,7 @@ class PacketDecoder:
         if packet.sensor == self._sensor or self._others.get(position - PACKET_BYTES) == packet.sensor:
             return packet
         is_first = 0 < self._serial == packet.serial if self._first is None else packet.sensor == self._first
-        if self._keeps_first and is_first:
+        if is_first:
             return packet
         if self._sensor is None and position == 0:
             return packet

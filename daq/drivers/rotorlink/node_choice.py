@@ -1,7 +1,7 @@
 """Which node is the rig's: that of the rig file, that of the log, or the first one that is received.
 
-Rules of a log from 7 on (`clock_rules`): of several nodes the first one that sends samples is chosen. If another one
-sends samples too, the choice is doubtful unless the rig file states the node.
+Of several nodes the first one that sends samples is chosen. If another one sends samples too, the choice is doubtful
+unless the rig file states the node.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from daq.drivers.rotorlink.wire import EncoderBlock, NodeFrame, Skipped
 from daq.items import DeviceEvent
 
-CHOICE_RULES = 7
 _ASSUMED = 1  # by the locks, until an event names another number
 
 
@@ -24,13 +23,12 @@ class NodeChoice:
         device: name in the events.
         stated: number in the rig file; None if it states none.
         learned: number in the identity; None if it has none.
-        rules: of the log.
     """
 
-    def __init__(self, device: str, stated: int | None, learned: int | None, rules: int) -> None:
+    def __init__(self, device: str, stated: int | None, learned: int | None) -> None:
         self.node: int | None = learned if stated is None else stated
         self.complaint: str = ""
-        self._device, self._stated, self._newer = device, stated is not None, rules >= CHOICE_RULES
+        self._device, self._stated = device, stated is not None
         self._sends_samples = self.node is not None
         self._others = set[int]()
 
@@ -43,11 +41,11 @@ class NodeChoice:
         if frame.node == self.node:
             self._sends_samples |= block
             return []
-        if self._newer and block and not self._sends_samples:
+        if block and not self._sends_samples:
             before, self.node, self._sends_samples = self.node, frame.node, True
             self._others.discard(frame.node)
             return [*self._chosen(before), *self._foreign(before)]
-        if self._newer and block and not self._stated and not self.complaint:
+        if block and not self._stated and not self.complaint:
             numbers = sorted((self.node, frame.node))
             self.complaint = (
                 f"nodes {numbers[0]} and {numbers[1]} both send samples, and the rig file does not state the rig's: "

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 MAX_WAIT_NS = 500_000_000
 """Time for which a mark waits for the next block."""
-_STEP_RULES = 10  # of a log (`daq.clock.clock_rules`), since which steps are found
 _MAX_STEP_US = 1_000_000  # off the next block by more, a mark comes after a silence of the node
 _SHARE_OFF = 0.25  # of a block, by which marks and blocks may be stamped or sent in another order
 _PERIOD_ROUNDING_US = 0.5  # the period is a whole number of microseconds
@@ -33,15 +32,11 @@ class Step(NamedTuple):
 class NodeClock:
     """Time of a node without the steps of its clock.
 
-    Args:
-        rules: of the log.
-
     Attributes:
         shift_us: sum of the steps so far, µs.
     """
 
-    def __init__(self, rules: int) -> None:
-        self._is_new = rules >= _STEP_RULES
+    def __init__(self) -> None:
         self.shift_us: int = 0
         self._due: tuple[int, int] | None = None  # time of the sample after the newest one, and span of its block, µs
 
@@ -56,7 +51,7 @@ class NodeClock:
         """
         self._due = first_us + count * period_us, count * period_us
         off = first_us - due_us
-        if not (self._is_new and samples and period_us):
+        if not (samples and period_us):
             return None
         if abs(off) <= period_us + _PERIOD_ROUNDING_US * samples:
             return None
@@ -65,7 +60,7 @@ class NodeClock:
 
     def is_out_of_place(self, us: int) -> bool:
         """Whether a mark at a stated time does not fit between the newest block and the next one."""
-        if self._due is None or not self._is_new:
+        if self._due is None:
             return False
         due_us, span_us = self._due
         early_us, late_us = due_us - us, us - due_us - span_us

@@ -39,14 +39,10 @@ class Arrived(NamedTuple):
 
 
 class Repeats:
-    """See the module.
+    """See the module."""
 
-    Args:
-        waits: whether blocks wait although the node has not repeated a block yet.
-    """
-
-    def __init__(self, *, waits: bool) -> None:
-        self._chances = _MAX_OPEN_GAPS if waits else 0
+    def __init__(self) -> None:
+        self._chances = _MAX_OPEN_GAPS
         self._known = False
         self._waiting: list[Arrived] = []
         self._lost = deque[range](maxlen=_KEPT_GAPS)

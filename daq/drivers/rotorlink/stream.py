@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from daq import channels
-from daq.clock import ClockMap, ClockSeed, clock_rules
-from daq.drivers.index_marks import MARK_RULES, MarkSequence
+from daq.clock import ClockMap, ClockSeed
+from daq.drivers.index_marks import MarkSequence
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
-from daq.drivers.rotorlink.node_choice import CHOICE_RULES, NodeChoice
+from daq.drivers.rotorlink.node_choice import NodeChoice
 from daq.drivers.rotorlink.node_clock import MAX_WAIT_NS, NodeClock, Step
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
@@ -23,7 +23,6 @@ from daq.items import TX, Batch, DeviceEvent, loss_words
 from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
 
-_REPEATS_RULES = 3  # rules of a log since which blocks wait for repeated ones
 _WRAP = 2**32
 _NODES = 256
 _MAX_SILENCE_US = 30_000_000  # after a longer silence the seq, which wraps, does not show a restart
@@ -58,7 +57,7 @@ class NodePipeline:
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._marks_phase = config.index_marks
-        self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
+        self._tolerance_ppm = config.clock_tolerance_ppm
         self._decoder = FrameDecoder()
         self._cable = SequenceCounter()
         self._cable_lost = 0  # frames lost on the cable since the last node frame; they may have contained node frames
@@ -66,11 +65,11 @@ class NodePipeline:
         self._last_dongle_us: int | None = None
         self._dongle = SenderClock()
         self._wrapped = False  # whether node frames arrive in frames of a dongle, which counts them
-        self._choice = NodeChoice(device, config.node, _node_of(identity), self._rules)
+        self._choice = NodeChoice(device, config.node, _node_of(identity))
         self._contradiction = ""  # between the node's status and the rig file
         self._mark_sequence = MarkSequence(device, self.losses)
         self._restart()
-        self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
+        self._clock = ClockMap(self._tolerance_ppm, ClockSeed.of(identity))
 
     @property
     def clock_std_ns(self) -> float:
@@ -95,12 +94,12 @@ class NodePipeline:
     def _restart(self) -> None:
         self._air = SequenceCounter()
         self._time = SenderClock()
-        self._clock = ClockMap(self._tolerance_ppm, self._rules)
+        self._clock = ClockMap(self._tolerance_ppm)
         self._next_index: int | None = None
         self._next_us = 0  # node time at which that sample is due
-        self._repeats = Repeats(waits=self._rules >= _REPEATS_RULES)
+        self._repeats = Repeats()
         self._last_us: int | None = None
-        self._own = NodeClock(self._rules)
+        self._own = NodeClock()
         self._held: list[tuple[rotorlink.IndexMark, int]] = []  # marks that wait for the next block, their host times
         self._mark_sequence.restart()
 
@@ -175,7 +174,7 @@ class NodePipeline:
         """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s; 0: unknown."""
         if lost:
             self.losses[what] += lost
-            within = f" within {span_s * 1e3:.0f} ms" if span_s or self._rules < CHOICE_RULES else ""
+            within = f" within {span_s * 1e3:.0f} ms" if span_s else ""
             text = f"{loss_words(lost, what)} lost{within}"
             out.append(DeviceEvent("gap", self._device, text, {what: lost, "span_s": span_s}))
 
@@ -241,12 +240,9 @@ class NodePipeline:
         """Return the sample of a mark, and the events about marks that contradict one another."""
         node_us = np.array([own_us])
         time_ns = self._clock.map(node_us * 1000, host_ns, learn=learn)
-        number, events = frame.revolutions, list[DeviceEvent]()
-        if self._rules >= MARK_RULES:
-            found, events = self._mark_sequence.feed(own_us * 1000, frame.revolutions, int(time_ns[0]))
-            if found is None:
-                return [*events]
-            number = found
+        number, events = self._mark_sequence.feed(own_us * 1000, frame.revolutions, int(time_ns[0]))
+        if number is None:
+            return [*events]
         columns = {"revolutions": np.array([number]), "node_time_us": node_us.astype(np.uint64)}
         return [*events, Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns)]
 

@@ -38,10 +38,9 @@ class VescDriver(PlainDriver):
 
     def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.clock import clock_rules
         from daq.drivers.vesc.stream import SerialLine, VescPipeline
 
-        return VescPipeline(device, settings, SerialLine, clock_rules(identity))
+        return VescPipeline(device, settings, SerialLine)
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""

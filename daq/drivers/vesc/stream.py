@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 
 from daq import channels
-from daq.clock import NEWEST_RULES
 from daq.drivers.following import Following, SlowingDown
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import VescMotor
@@ -18,11 +17,6 @@ from rig_basics.texts import number_of
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""
 STATUS_KNOWN = 1 << 24
-EVENT_RULES = 6
-"""Rules of a log (`daq.clock.clock_rules`) from which on these are events: late answers; on a CAN bus the start of a
-controller, missing status messages, each command of another node. Older logs decode to the same events as before."""
-BRAKE_RULES = 7
-"""Rules of a log from which on a braked rotor that does not slow down is a fault."""
 
 _COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
 _JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
@@ -111,13 +105,12 @@ class VescPipeline:
         device: str,
         settings: VescMotor,
         line: Callable[[str, dict[str, int]], VescLine] = SerialLine,
-        rules: int = NEWEST_RULES,
     ) -> None:
         self.losses: dict[str, int] = {}
         self._line = line(device, self.losses)
         self.losses |= {"unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
-        self._device, self._pole_pairs, self._newer = device, settings.pole_pairs, rules >= EVENT_RULES
+        self._device, self._pole_pairs = device, settings.pole_pairs
         self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
@@ -127,7 +120,7 @@ class VescPipeline:
         self._word: int | None = None
         max_reports = round(settings.follow_s * settings.report_Hz)
         self._following = Following(device, max_reports)
-        self._slowing = SlowingDown(device, max_reports) if rules >= BRAKE_RULES else None
+        self._slowing = SlowingDown(device, max_reports)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -200,15 +193,14 @@ class VescPipeline:
         word = statusword(values, self._command)
         actual_rpm = values.erpm / self._pole_pairs
         out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
-        if self._slowing is not None:
-            out += self._slowing.check(self._command == BRAKE, actual_rpm)
+        out += self._slowing.check(self._command == BRAKE, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
         words.append(word)
         return out
 
     def _gap(self) -> list[DeviceEvent]:
-        if self._newer and not self._polled:
+        if not self._polled:
             return self._surplus()
         lost, self._unanswered, self._polled = self._unanswered, 0, False
         self._late += lost

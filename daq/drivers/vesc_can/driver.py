@@ -33,10 +33,9 @@ class VescCanDriver(VescDriver):
 
     def pipeline(self, device: str, settings: VescCan, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.clock import clock_rules
         from daq.drivers.vesc_can.stream import can_pipeline
 
-        return can_pipeline(device, settings, clock_rules(identity))
+        return can_pipeline(device, settings)
 
     def checks(
         self, settings: VescMotor, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]

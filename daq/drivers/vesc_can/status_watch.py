@@ -21,15 +21,14 @@ class StatusWatch:
         device: name of the device in the rig file.
         losses: losses of the pipeline.
         settings: table of the controller in the rig file.
-        reports: whether an absence is reported and counted; otherwise only the rate is measured.
 
     Attributes:
         count: number of status messages so far.
     """
 
-    def __init__(self, device: str, losses: dict[str, int], settings: VescCan, *, reports: bool = True) -> None:
+    def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
         self.count: int = 0
-        self._device, self._losses, self._rate_Hz = device, losses, settings.status_Hz if reports else 0.0
+        self._device, self._losses, self._rate_Hz = device, losses, settings.status_Hz
         longest_s = max(_MISSING_PERIODS / self._rate_Hz, _MISSING_S) if self._rate_Hz else 0.0
         self._max_answers = round(longest_s * settings.report_Hz)
         self._answers = self._counted = 0  # since the last status message: answers, missing messages

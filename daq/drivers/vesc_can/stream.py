@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from daq.clock import NEWEST_RULES
 from daq.drivers.can_lines import CanLines, FirstContact, OtherHost
 from daq.drivers.vesc import wire as vesc
-from daq.drivers.vesc.stream import EVENT_RULES, VescPipeline
+from daq.drivers.vesc.stream import VescPipeline
 from daq.drivers.vesc_can import wire
 from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.status_watch import StatusWatch
@@ -23,25 +22,24 @@ class CanLine:
         device: name of the device in the rig file.
         losses: losses of the pipeline.
         settings: table of the controller in the rig file.
-        rules: of the log, see `vesc.stream.EVENT_RULES`.
 
     Attributes:
         status: rate and absence of the status messages.
     """
 
-    def __init__(self, device: str, losses: dict[str, int], settings: VescCan, rules: int = NEWEST_RULES) -> None:
+    def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
         self.speeds_erpm: list[int] = []
         self.others: list[bytes] = []
         self._device, self._losses, self._settings = device, losses, settings
-        self._number, self._newer = settings.controller_id, rules >= EVENT_RULES
+        self._number = settings.controller_id
         self._lines, self._other_host = CanLines(device, losses), OtherHost(device)
-        self._contact = FirstContact(rules)
+        self._contact = FirstContact()
         self._pieces = wire.Pieces(settings.controller_id)
         self._asks_firmware = False  # whether the query of the firmware is not answered yet
         self._others_heard = set[int]()  # other controllers whose status was reported
         self._open_refused = False  # whether it was reported
         losses["damaged_answers"] = 0
-        self.status: StatusWatch = StatusWatch(device, losses, settings, reports=self._newer)
+        self.status: StatusWatch = StatusWatch(device, losses, settings)
 
     def sent(self, data: bytes) -> list[bytes]:
         """See VescLine."""
@@ -80,8 +78,7 @@ class CanLine:
         if command == wire.STATUS:
             return self._status(frame.data, host_ns) if number == self._number else self._other_status(number)
         if command == wire.BOOT:
-            own = number == self._number and self._newer
-            return [self._started()] if own else []
+            return [self._started()] if number == self._number else []
         if command in _TO_HOST and number == self._settings.host_id:
             self._contact.heard()
             payload, damaged = self._pieces.take(command, frame.data)
@@ -116,7 +113,7 @@ class CanLine:
     def _foreign(self, frame: CanFrame, number: int, host_ns: int) -> list[DeviceEvent]:
         """Take a frame to the controller from the bus. A session that only receives uses those of the rig's host."""
         payload = wire.payload_of(frame)
-        acts = wire.is_command(frame) if self._newer else number == self._number and payload is not None
+        acts = wire.is_command(frame)
         of_rig = acts or frame.data[:1] == bytes([self._settings.host_id])
         if payload is not None and of_rig and not self._other_host.replaced:
             self.others.append(payload)
@@ -134,17 +131,17 @@ class VescCanPipeline(VescPipeline):
         status: rate and absence of the status messages.
     """
 
-    def __init__(self, device: str, settings: VescCan, rules: int = NEWEST_RULES) -> None:
+    def __init__(self, device: str, settings: VescCan) -> None:
         lines: list[CanLine] = []
 
         def line(name: str, losses: dict[str, int]) -> CanLine:
-            lines.append(CanLine(name, losses, settings, rules))
+            lines.append(CanLine(name, losses, settings))
             return lines[0]
 
-        super().__init__(device, settings, line, rules)
+        super().__init__(device, settings, line)
         self.status: StatusWatch = lines[0].status
 
 
-def can_pipeline(device: str, settings: VescCan, rules: int = NEWEST_RULES) -> VescCanPipeline:
+def can_pipeline(device: str, settings: VescCan) -> VescCanPipeline:
     """Make the pipeline of a controller on the bus."""
-    return VescCanPipeline(device, settings, rules)
+    return VescCanPipeline(device, settings)

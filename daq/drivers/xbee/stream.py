@@ -11,7 +11,6 @@ from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.items import TX, Batch, DeviceEvent
 
-_LATE_RULES = 8  # rules of a log since which a late frame is not a restart of the node
 _MAX_INDEX_ERROR_US = 100_000  # of a late block's time, from its index; a node's period is not exact
 _LONG_US = 2**63  # longer than any node runs
 _NO_FRAME_NS = 2_000_000_000  # of bytes without an API frame, after which the module is in another mode …
@@ -137,7 +136,7 @@ class XBeePipeline(NodePipeline):
         A block shows by its index, which does not wrap for weeks, for how long its node has run. Its index fits its
         time, unless the block is of another node. Other frames show no restart if blocks do.
         """
-        if self._rules < _LATE_RULES or not self._air.is_behind(frame.seq):
+        if not self._air.is_behind(frame.seq):
             return False
         node_us: int | None = getattr(frame, "node_time_us", None)
         if node_us is None:

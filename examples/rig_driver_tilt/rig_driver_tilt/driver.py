@@ -112,7 +112,7 @@ class TiltDriver(PlainDriver):
 
     def pipeline(self, device: str, settings: Tilt, identity: Mapping[str, Any]) -> TiltPipeline:
         """Return a new pipeline."""
-        return TiltPipeline(device, self.channels(settings)[0], settings.clock_tolerance_ppm, identity)
+        return TiltPipeline(device, self.channels(settings)[0], settings.clock_tolerance_ppm)
 
     def far_end(self, device: str, settings: Tilt, world: Any) -> FarEnd:
         """Return a simulated device."""

@@ -1,12 +1,9 @@
 """Bytes to samples. It does no I/O and reads no clock, so that a log's bytes give the same samples again."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from daq.channels import Channel
-from daq.clock import ClockMap, Unwrap, clock_rules
+from daq.clock import ClockMap, Unwrap
 from daq.items import TX, Batch, DeviceEvent
 from rig_driver_tilt import line
 
@@ -14,10 +11,10 @@ from rig_driver_tilt import line
 class TiltPipeline:
     """See daq.drivers.contract.Pipeline."""
 
-    def __init__(self, device: str, channel: Channel, tolerance_ppm: float, identity: Mapping[str, Any]) -> None:
+    def __init__(self, device: str, channel: Channel, tolerance_ppm: float) -> None:
         self.losses = {"samples": 0, "damaged_lines": 0}
         self._device, self._channel = device, channel
-        self._tolerance_ppm, self._rules = tolerance_ppm, clock_rules(identity)
+        self._tolerance_ppm = tolerance_ppm
         self._rest = b""
         self._heard = False
         self._begin()
@@ -25,7 +22,7 @@ class TiltPipeline:
     def _begin(self) -> None:
         self._last: line.Sample | None = None
         self._ms = Unwrap(line.MS_WRAP)
-        self._clock = ClockMap(self._tolerance_ppm, self._rules)
+        self._clock = ClockMap(self._tolerance_ppm)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """Take one read or one write."""
