@@ -343,7 +343,11 @@ def test_keys_at_a_terminal_note_and_abort_a_test_that_waits_for_a_person(
 def test_a_stop_by_ctrl_c_states_rotor_and_log(
     capsys: pytest.CaptureFixture[str], log: Path | None, warning: str, words: str
 ) -> None:
-    with pytest.raises(KeyboardInterrupt), guided_test.stop_stated() as opened:
-        opened.append(cast("Session", SimpleNamespace(newest_log=log, rotor_warning=warning)))
-        raise KeyboardInterrupt
+    def stopped() -> None:
+        with guided_test.stop_stated() as opened:
+            opened.append(cast("Session", SimpleNamespace(newest_log=log, rotor_warning=warning)))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
     assert capsys.readouterr().err == f"the test was stopped; {words}\n"
