@@ -112,8 +112,8 @@ GROUPS: dict[str, dict[str, Command]] = {
     "Develop": {
         "driver": Command(
             "rig_cli.drivers:app",
-            "List the installed drivers, check one against what every driver must do.",
-            "Example: `rig driver check optoncdt`",
+            "List the installed drivers, show the settings of one, check one against what every driver must do.",
+            "Example: `rig driver show optoncdt`",
         ),
         "bench": Command(
             "rig_cli.bench:bench", "Measure time against true error for every method, with peers in the same run."

@@ -1,10 +1,11 @@
-"""Commands about drivers: list the installed drivers, run the conformance tests on one."""
+"""Commands about drivers: list the installed ones, show the settings of one, run the conformance tests on it."""
 
 from __future__ import annotations
 
 import difflib
 import os
 import re
+from dataclasses import asdict
 from importlib import import_module
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ from rig_cli.console import StepProgress, notify, print_json
 from rig_cli.options import Json
 from rig_configs.drivers import installed, load_driver
 from rig_configs.errors import RigConfigError
+from rig_configs.setting_rows import rows_of, tables_inside
 
 if TYPE_CHECKING:
     from daq.drivers.contract import Driver
@@ -38,6 +40,27 @@ def list_(*, json: Json = False) -> int:
     from rig_cli.drivers_page import print_drivers  # rich's tables are slow
 
     print_drivers(found)
+    return 0
+
+
+@app.command
+def show(name: str, *, json: Json = False) -> int:
+    """Show the settings of a driver's devices in a rig file, with defaults, permitted values and meaning.
+
+    Example: `rig driver show vesc_can`
+
+    Args:
+        name: as in `driver = "…"` of a rig file, or as `rig driver check` takes it.
+    """
+    chosen = _chosen(name)
+    tables = {"": rows_of(chosen.settings), **tables_inside(chosen.settings)}
+    if json:
+        rows = {title: [asdict(row) for row in table] for title, table in tables.items()}
+        print_json({"driver": chosen.name, "settings": rows.pop(""), "tables": rows})
+        return 0
+    from rig_cli.drivers_page import print_settings
+
+    print_settings(chosen.name, tables)
     return 0
 
 

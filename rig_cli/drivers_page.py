@@ -1,4 +1,4 @@
-"""Drivers on the terminal: the list, and the results of the tests of one."""
+"""Drivers on the terminal: the list, the settings of one, and the results of its tests."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.text import Text
 
 from rig_basics.texts import number_of
 from rig_cli.words import printable, stdout_console
+from rig_configs.setting_rows import SettingRow
 from rig_testing.report import DriverReport
 
 
@@ -24,6 +25,23 @@ def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
         verified = Text("yes", "green") if facts["verified"] else Text("no", "dim")
         table.add_row(Text(printable(facts["name"]), "bold"), Text(printable(facts["package"])), roles, verified)
     stdout_console().print(table)
+
+
+def print_settings(driver: str, tables: Mapping[str, Sequence[SettingRow]]) -> None:
+    """Print the settings of a driver, then those of the tables inside.
+
+    Args:
+        tables: settings by the name of the table; "" for the device's own.
+    """
+    console = stdout_console()
+    for title, rows in tables.items():
+        console.print(Text(f"a table of {title}" if title else f'[devices.NAME]  driver = "{driver}"', "bold"))
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        for heading in ("setting", "default", "permitted", "meaning"):
+            table.add_column(heading)
+        for row in rows:
+            table.add_row(Text("\n".join(row.names), "bold"), *map(Text, (row.default, row.permitted, row.meaning)))
+        console.print(table)
 
 
 def print_report(report: DriverReport) -> None:

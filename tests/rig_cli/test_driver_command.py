@@ -1,4 +1,4 @@
-"""`rig driver list` and `rig driver check`."""
+"""`rig driver list`, `rig driver show` and `rig driver check`."""
 
 from __future__ import annotations
 
@@ -111,3 +111,17 @@ def test_thorough_asks_for_a_million_inputs(
     code, out, _ = run_rig(capsys, "check", "vesc", "--thorough", "--json")
     assert code == 1
     assert json.loads(out)["failed"][0]["why"] == "thorough True, 1000000 against 10000"
+
+
+def test_the_settings_of_a_driver_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run_rig(capsys, "show", "dbc", "--json")
+    shown = json.loads(out)
+    assert code == 0
+    defaults = {name: row["default"] for row in shown["settings"] for name in row["names"]}
+    assert defaults["driver"] == "required"
+    assert defaults["bitrate"] == "500000"
+    assert list(shown["tables"]) == ["SignalX", "SignalY", "Quantity"]
+    code, out, _ = run_rig(capsys, "show", "vesc_can")
+    assert code == 0
+    assert "pole_pairs" in out
+    assert "required" in out
