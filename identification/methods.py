@@ -75,8 +75,8 @@ def skipped_tests(runs: Sequence[Run]) -> list[str]:
         kind = kind_of(test)
         if kind is not None and methods_of(kind):
             continue
-        why = "the table of test kinds has no row for it" if kind is None else "its row gives no parameter"
-        messages.append(f"{test} passed over: {why}; the table gives {_able()}")
+        why = "no known kind of test" if kind is None else "it determines no parameter"
+        messages.append(f"{test} passed over: {why}; parameters come from {_able()}")
     return messages
 
 

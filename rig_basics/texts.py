@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import SupportsIndex
 
 _ALL_DIGITS = 17  # significant digits that distinguish any two doubles
 _LONE_SURROGATE = re.compile("[\ud800-\udfff]")
@@ -17,18 +18,18 @@ def storable(text: str) -> str:
     return text if text.isascii() else _LONE_SURROGATE.sub("\ufffd", text)
 
 
-def number_of(count: int, one: str, many: str = "", form: str = "") -> str:
+def number_of(count: SupportsIndex | str, one: str, many: str = "", form: str = "") -> str:
     """Return a number with what it counts, for example "1 log" or "3 logs".
 
     All texts that contain a counted noun are made of it, so that none contains "1 logs".
 
     Args:
-        count: how many.
+        count: how many, or the text of the number.
         one: the noun for one, also with its verb: "sample was lost".
         many: the same for other numbers; empty: `one` with an s.
         form: format of the number, for example "12,d".
     """
-    return f"{count:{form}} {one if count == 1 else many or f'{one}s'}"
+    return f"{count:{form}} {one if str(count) == '1' else many or f'{one}s'}"
 
 
 def distinct(value: float, limit: float, digits: int = 2) -> tuple[str, str]:

@@ -153,6 +153,8 @@ def calibrate(
     kind = _kind(loaded, device)
     known, setup = positions.known(), positions.setup()
     _need_input(kind, known, closings)
+    if options.write and not Path(rig).is_file():
+        raise RigFileError(f"--write: {rig} is a shipped rig, which is not changed; copy it to a file of your own")
     if not options.rehearse:
         warn_of_unusual_settings(loaded)
     check_outputs("--out", options.out / "log" if options.out.exists() else options.out, force=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -212,14 +212,29 @@ def _tracking(
     return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
+@contextmanager
+def stop_stated() -> Generator[list[Session]]:
+    """State after Ctrl-C, when the session is closed, whether the rotor is at rest and where the log is."""
+    opened: list[Session] = []
+    try:
+        yield opened
+    except KeyboardInterrupt:
+        for session in opened:
+            log = session.newest_log
+            kept = "no log had begun" if log is None else f"the log is kept: {log}"
+            notify(f"the test was stopped; {session.rotor_warning or 'the rotor is at rest'}; {kept}")
+        raise
+
+
 def _run(wanted: GuidedTestRequest, options: TestRun, label: str, displays: _Displays, as_json: bool) -> int:
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None
     done: TestDone | None = None
-    with ExitStack() as stack:
+    with stop_stated() as opened, ExitStack() as stack:
         live_page, connection = stack.enter_context(displays.page), stack.enter_context(displays.foxglove)
         session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), notify=notify))
+        opened.append(session)
         following = stack.enter_context(displays.tracking(session)) if displays.tracking is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str

@@ -46,7 +46,7 @@ def _compared(found: DeviceCheck) -> str:
     return value + ("" if found.expected is None else f", expected {found.expected}")
 
 
-def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, file: Path) -> str:
+def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, file: Path, *, with_points: bool) -> str:
     """Return which parameters were identified, how good they are, and what to do next.
 
     Args:
@@ -54,6 +54,7 @@ def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, fi
         logs: number of logs that determine them.
         to_record: advice for the others; empty if none is absent.
         file: file of the parameters.
+        with_points: whether points are among the given logs, so that they can be compared.
     """
     share = {name: found.std[name] / abs(value) for name, value in found.values.items()}
     if not share:
@@ -62,7 +63,8 @@ def identify_sentence(found: IdentifiedParameters, logs: int, to_record: str, fi
     names = ", ".join(PARAMETER_SYMBOLS[name] for name in PARAMETER_SYMBOLS if name in share)
     good = f"standard uncertainties up to {100 * share[worst]:.2g} % ({PARAMETER_SYMBOLS[worst]})"
     absent = ", ".join(PARAMETER_SYMBOLS[name] for name in PARAMETER_SYMBOLS if name not in share)
-    following = f"next: rig validate RIG FOLDER --parameters {file}"
+    command = "validate RIG FOLDER" if with_points else "test RIG point A"
+    following = f"next: rig {command} --parameters {file}"
     if absent:
         following = f"not identified: {absent}; {to_record}"
     return f"{names} identified from {number_of(logs, 'log')}, {good}; {following}."
@@ -121,5 +123,7 @@ def validation_sentence(points: Mapping[str, Mapping[str, Any]], passed: bool) -
         share = f"{len(missed)} of {number_of(len(points), 'point')} {'does' if len(missed) == 1 else 'do'} not pass"
         others = f" ({', '.join(missed)})" if len(missed) > 1 else ""
         return _ended(f"{share}{others}: {name}: {point['verdict']}, {point['why']}")
-    fine = f"{', '.join(points)} {'passes' if len(points) == 1 else 'pass'}" if points else "No point was compared"
-    return f"{fine}." if passed or not points else f"{fine}, but the whole validation does not; the reason is above."
+    if not points:
+        return "No point was compared: record one by rig test."
+    fine = f"{', '.join(points)} {'passes' if len(points) == 1 else 'pass'}"
+    return f"{fine}." if passed else f"{fine}, but the whole validation does not; the reason is above."

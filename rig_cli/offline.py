@@ -61,6 +61,7 @@ def identify(
 
     Example: `rig identify out -o after.toml`
     """
+    check_outputs("rig identify: -o", output, force=force)
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.time_span import TimeSpan
     from identification import identify as find
@@ -68,7 +69,6 @@ def identify(
     from rig_cli import results  # scipy and numba take seconds to import
     from rig_cli.parameters import limit_json
 
-    check_outputs("rig identify: -o", output, force=force)
     held = _held_back(without or [])
     places = logs_of("rig identify", logs)
     part = TimeSpan(span.from_s, span.to_s)
@@ -92,7 +92,8 @@ def identify(
         notify(f"warning: {warning}")
     notify(f"written to {output}")
     used = {source for estimate in found.estimates for source in estimate.sources}
-    show(identify_sentence(parameters, len(used), found.to_record, output))
+    recorded = any(run.test.startswith("point-") for run in runs)
+    show(identify_sentence(parameters, len(used), found.to_record, output, with_points=recorded))
     return 0
 
 
@@ -269,7 +270,7 @@ def _print_validation(found: Validation, what_if: list[str]) -> None:
     if what_if:
         print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
     result = found.to_json()
-    for line in whole_lines(result):
+    for line in whole_lines(result) if result["points"] or result["start_ups"] else ():
         show(line)
     print_points(result["points"])
     show(validation_sentence(result["points"], found.passed))

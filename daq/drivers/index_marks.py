@@ -102,7 +102,7 @@ class MarkSequence:
         facts = {"doubled_marks": self._bounces, "span_s": self._bounce_ns * 1e-9, "time_ns": time_ns}
         self._bounces, self._bounce_ns, self._reported_ns = 0, 0, time_ns
         text = (
-            f"{number_of(facts['doubled_marks'], 'index mark')} came twice, the second one within "
+            f"{number_of(int(facts['doubled_marks']), 'index mark')} came twice, the second one within "
             f"{facts['span_s'] * 1e3:.1f} ms: "
             "dropped, and not counted as turns. Look at the index sensor: its contact or its distance"
         )

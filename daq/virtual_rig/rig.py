@@ -40,7 +40,10 @@ class SimulatedRig:
 
     def __init__(self, rig: Rig, patience: Callable[[float], float] = float) -> None:
         if rig.virtual is None:
-            raise RigConfigError(f"rig {rig.name} has no [virtual] table, which the simulation needs")
+            raise RigConfigError(
+                f"the rig file of {rig.name} has no [virtual] table, which the simulation needs: give a shipped "
+                "rig, as virtual, or a copy of its file"
+            )
         self._rig = rig
         drive = rig.virtual.drive
         self.motion: SimulatedMotion = SimulatedMotion(rig.true_physics, drive.slip, drive.lag_s)

@@ -391,8 +391,8 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         )
         warning = (
             f"{label}: by itself it does not exclude dry friction of A and B ({', '.join(limits)}, 95 %), which makes "
-            f"c3 and c4 {wider:.2g} times less certain than viscous damping alone would be; a spin-down and releases "
-            "at two speeds together decide"
+            f"c3 and c4 {wider:.2g} times less certain than viscous damping alone would be, as their intervals state; "
+            "a spin-down and releases at two speeds (rig test RIG point A, then B) together decide"
         )
     return replace(
         fit,

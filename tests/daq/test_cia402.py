@@ -89,7 +89,10 @@ def test_connection_set_of_node_5():
     [
         (0x0000, "0x0000, error reset"),
         (0x3220, "0x3220, DC link under-voltage"),
-        (0x8130, "0x8130, life guard or heartbeat error: the host's heartbeat stayed away"),
+        (
+            0x8130,
+            "0x8130, life guard or heartbeat error: the host's heartbeat stayed away: cable, or a busy host",
+        ),
         (0x3225, "0x3225, DC link under-voltage"),
         (0x42FF, "0x42FF, device temperature"),
         (0x9ABC, "0x9ABC, external error"),

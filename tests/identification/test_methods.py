@@ -54,7 +54,7 @@ def test_another_ring_down_gives_what_its_row_states(add: Add) -> None:
     campaign = Campaign(1)
     struck = dataclasses.replace(campaign.ring_down("x"), test="ring-down-struck")
     along_y = campaign.ring_down("y")
-    with pytest.raises(NotIdentifiable, match="ring-down-struck passed over: the table of test kinds has no row"):
+    with pytest.raises(NotIdentifiable, match="ring-down-struck passed over: no known kind of test"):
         identify([struck], campaign.rig)
     add(row("ring-down-struck", ("x",), turns=False, gives=("k1_N_per_m", "zeta1")))
     found = identify([struck, along_y], campaign.rig)
@@ -99,7 +99,7 @@ def test_a_row_that_gives_nothing_is_passed_over_in_words(add: Add) -> None:
     runout = dataclasses.replace(campaign.ring_down("x"), test="slow-roll")
     found = identify([runout, campaign.ring_down("x")], campaign.rig)
     (message,) = [w for w in found.warnings if "passed over" in w]
-    assert message.startswith("slow-roll passed over: its row gives no parameter")
+    assert message.startswith("slow-roll passed over: it determines no parameter")
 
 
 def test_advice_names_tests_that_the_rig_can_do(add: Add) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli import crash, main
+from rig_cli import crash, main, signals
 from rig_cli.console import print_json
 
 
@@ -50,6 +50,18 @@ def test_an_unforeseen_error_has_its_own_code_and_a_report(
     assert len(text) < 9999
     if os.name == "posix":
         assert report.stat().st_mode & 0o077 == 0
+
+
+def test_an_error_after_an_interruption_is_an_interruption(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, temporary: Path
+) -> None:
+    """A callback of the compiler drops the interruption, and the compilation then fails in another way."""
+    monkeypatch.setattr("rig_cli.model.load_rig", fails)
+    monkeypatch.setattr(signals, "received", ["SIGTERM"])
+    monkeypatch.setattr(main, "received", signals.received)
+    assert main.run(["predict", "virtual"]) == 130
+    assert capsys.readouterr().err == "rig: interrupted by SIGTERM\n"
+    assert not list(temporary.iterdir())
 
 
 def test_where_nothing_can_be_written_the_report_goes_to_the_terminal(

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -25,6 +26,7 @@ from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli import guided_test
 from rig_cli.guided_test_page import TestPage, readings
 from rig_cli.keyboard import Keys
 from rig_cli.main import run
@@ -329,3 +331,23 @@ def test_keys_at_a_terminal_note_and_abort_a_test_that_waits_for_a_person(
     assert result["ended"] == "not reached: aborted by the operator in 'pluck': by the key a"
     with open_log(result["log"]) as log:
         assert [event["text"] for event in log.events if event["kind"] == "note"] == ["wind outside"]
+
+
+@pytest.mark.parametrize(
+    ("log", "warning", "words"),
+    [
+        (Path("out/05-run-up.mcap"), "", "the rotor is at rest; the log is kept: out/05-run-up.mcap"),
+        (None, "the rotor may turn", "the rotor may turn; no log had begun"),
+    ],
+)
+def test_a_stop_by_ctrl_c_states_rotor_and_log(
+    capsys: pytest.CaptureFixture[str], log: Path | None, warning: str, words: str
+) -> None:
+    def stopped() -> None:
+        with guided_test.stop_stated() as opened:
+            opened.append(cast("Session", SimpleNamespace(newest_log=log, rotor_warning=warning)))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert capsys.readouterr().err == f"the test was stopped; {words}\n"

@@ -62,13 +62,15 @@ def parameters(*names: str) -> IdentifiedParameters:
 
 
 def test_an_identification_ends_with_its_numbers_and_the_next_step() -> None:
-    full = identify_sentence(parameters(*PARAMETER_UNITS), 9, "", Path("p.toml"))
+    full = identify_sentence(parameters(*PARAMETER_UNITS), 9, "", Path("p.toml"), with_points=True)
     assert full == (
         "k1, k2, ζ1, ζ2, c3, c4, S_P identified from 9 logs, standard uncertainties up to 1 % (k1); next: rig validate "
         "RIG FOLDER --parameters p.toml."
     )
+    no_points = identify_sentence(parameters(*PARAMETER_UNITS), 4, "", Path("p.toml"), with_points=False)
+    assert no_points.endswith("next: rig test RIG point A --parameters p.toml.")
     present = [name for name in PARAMETER_UNITS if name not in ("c3_Nms_per_rad", "SP_kg_m")]
-    part = identify_sentence(parameters(*present), 1, "record spin-down, run-up", Path("p.toml"))
+    part = identify_sentence(parameters(*present), 1, "record spin-down, run-up", Path("p.toml"), with_points=False)
     assert part == (
         "k1, k2, ζ1, ζ2, c4 identified from 1 log, standard uncertainties up to 1 % (k1); not identified: c3, S_P; "
         "record spin-down, run-up."
@@ -115,7 +117,7 @@ def test_a_validation_ends_with_the_points_that_do_not_pass() -> None:
     two = validation_sentence(judged(A="fail", B="not settled", C="pass"), passed=False)
     assert two == "2 of 3 points do not pass (A, B): A: fail, θ3 differs by 4.1 std."
     assert "whole validation does not" in validation_sentence(judged(A="pass"), passed=False)
-    assert validation_sentence({}, passed=False) == "No point was compared."
+    assert validation_sentence({}, passed=False) == "No point was compared: record one by rig test."
 
 
 def test_the_sentence_is_the_last_line_of_a_prediction_and_not_in_its_json(capsys: pytest.CaptureFixture[str]) -> None:

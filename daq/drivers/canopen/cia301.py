@@ -124,7 +124,7 @@ _EMERGENCIES = {
     0x8100: "communication",
     0x8110: "CAN overrun, objects lost",
     0x8120: "CAN in error passive mode",
-    0x8130: "life guard or heartbeat error: the host's heartbeat stayed away",
+    0x8130: "life guard or heartbeat error: the host's heartbeat stayed away: cable, or a busy host",
     0x8140: "recovered from bus off",
     0x8150: "CAN identifier collision",
     0x8200: "protocol error",
