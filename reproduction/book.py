@@ -121,7 +121,7 @@ def _overview(made: Sequence[Written], on_pages: Mapping[Page, Sequence[Written]
         "",
         "## Claims that do not hold, or hold in part",
         "",
-        "| item | where | claimed | |",
+        "| item | where | claimed | verdict |",
         "|---|---|---|---|",
     ]
     lines += [
@@ -146,7 +146,7 @@ def _items_page(title: str, items: Sequence[Written]) -> str:
         for panel in one.record["panels"]:
             lines += [f"![{panel['description']}](figures/{_figure_name(one, panel)})", "", panel["description"], ""]
         lines += [f"- Assumed: {text}" for text in one.record["assumed"]] + ["" for _ in one.record["assumed"][:1]]
-        lines += ["| where | claimed | | computed |", "|---|---|---|---|"]
+        lines += ["| where | claimed | verdict | computed |", "|---|---|---|---|"]
         lines += [_row(claim["place"], claim["statement"], _verdict(claim), claim["computed"]) for claim in one.claims]
     return "\n".join(lines) + "\n"
 

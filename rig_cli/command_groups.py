@@ -112,7 +112,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     "Develop": {
         "driver": Command(
             "rig_cli.drivers:app",
-            "List the installed drivers, show the settings of one, check one against what every driver must do.",
+            "List the drivers, show the settings of one, check it against what every driver must do.",
             "Example: `rig driver show optoncdt`",
         ),
         "bench": Command(
