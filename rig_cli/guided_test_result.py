@@ -115,7 +115,8 @@ def _point(run: Run) -> str:
 
     found = measure(run, _rig_of(run))
     angles = ", ".join(f"{name} = {math.degrees(a.value):.1f}°" for name, a in zip("AB", found.theta_rad, strict=True))
-    return f"amplitude {1e3 * found.amplitude_m.value:.3g} mm, {angles}; next: rig validate compares it with the model"
+    value, std = 1e6 * found.amplitude_m.value, 1e6 * found.amplitude_m.std
+    return f"amplitude {value:.3g} ± {std:.2g} µm, {angles}; next: rig validate compares it with the model"
 
 
 def _identified(run: Run, rig: Rig) -> IdentifiedParameters:
