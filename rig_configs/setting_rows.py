@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from rig_configs.device import DeviceSettings, DisplacementTable, RotorNodeSettings, SampledTable
 from rig_configs.table import RigTable
@@ -100,7 +100,7 @@ def _models_in(model: type[RigTable]) -> Iterator[type[RigTable]]:
 def _types_in(annotation: Any) -> Iterable[type[RigTable]]:
     if isinstance(annotation, type) and issubclass(annotation, RigTable):
         return [annotation]
-    return [found for part in getattr(annotation, "__args__", ()) for found in _types_in(part)]
+    return [found for part in get_args(annotation) for found in _types_in(part)]
 
 
 def _default(value: Any) -> str:
