@@ -370,7 +370,7 @@ def test_messages_read_from_a_foreign_file_without_crcs_are_reported(path):
         assert log.complete
         sentences = [str(place) for place in log.verify()]
         assert log.complete
-        assert any("1 chunks without a CRC" in text for text in sentences)
+        assert any("1 chunk without a CRC" in text for text in sentences)
         assert log.count("note") == 1
 
 

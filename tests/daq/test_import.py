@@ -115,7 +115,7 @@ def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> N
         (
             rows(",") + "0.1,1.0\n",
             NUMBERS,
-            r"line 201: expected a time after 0.199 s, got an earlier time \(0.1\); 1 of 201",
+            r"line 201: expected a time after 0.199 s, got an earlier time \(0.1\); 1 row of 201",
         ),
         (rows(",") + "0.199,1.0\n", NUMBERS, "the same time again"),
         (rows(",").replace("0.1,", ",", 1), NUMBERS, "line 101: expected a time, got none; 1 of 200"),

@@ -565,7 +565,7 @@ def test_tests_are_read_from_a_file_as_they_were_written() -> None:
 @pytest.mark.parametrize(
     ("spoilt", "words"),
     [
-        ({"covariance": [[1.0, 0.0], [0.0, 1.0]]}, "expected 1 × 1 numbers, got"),
+        ({"covariance": [[1.0, 0.0], [0.0, 1.0]]}, "expected 1 × 1 number, got"),
         ({"covariance": [["x"]]}, "could not convert"),
         ({"values": {K1: None}}, "float"),
         ({"shared": {"gain x": {K2: 1.0}}}, K1),

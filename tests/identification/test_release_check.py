@@ -245,4 +245,4 @@ def test_a_run_without_a_release_brings_no_rows(campaign: Campaign, release_d: R
     none = checked(late, campaign.rig, found)
     assert none.rows == ()
     assert not none.followed
-    assert "too few" in none.sentence
+    assert "only 0 encoder samples after the release" in none.sentence
