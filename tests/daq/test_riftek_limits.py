@@ -8,6 +8,7 @@ import pytest
 from daq.drivers.riftek import stream, wire
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
 from tests.daq.test_riftek_stream import START_NS, codes_of, column, feed, laser, pipeline, reads_of, without
 
 MS = 1_000_000
@@ -51,7 +52,8 @@ def test_damaged_bytes_are_as_many_results_as_they_can_have_been(skipped: int, l
     assert ["uncertain_samples" in event.facts for event in gaps] == [found == 4 and skipped < 38] * len(gaps)
     assert pipe.losses["bytes"] == skipped
     (damage,) = events(items, "damage")
-    assert damage.text == f"{skipped} bytes skipped that do not belong to a packet"
+    words = number_of(skipped, "byte skipped that does", "bytes skipped that do")
+    assert damage.text == f"{words} not belong to a packet"
     assert damage.facts == {"bytes": skipped}
 
 
@@ -101,7 +103,7 @@ def test_of_a_late_read_the_results_before_its_gap_do_not_wait(lost: int) -> Non
     items = read(pipe, [*range(3020, 3040)], 0)
     assert counters(items) == [*range(3005 + lost, 3040)]
     (gap,) = events(items)
-    assert gap.text == f"{lost} samples lost ({lost}.00 ms)"
+    assert gap.text == f"{number_of(lost, 'sample')} lost ({lost}.00 ms)"
     assert gap.facts["samples"] == pipe.losses["samples"] == lost
     assert "uncertain_samples" not in gap.facts
     single = after_3_s()
