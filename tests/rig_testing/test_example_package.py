@@ -48,7 +48,7 @@ class Forgetful(TiltPipeline):
 def driver(kind):
     class Twin(TiltDriver):
         def pipeline(self, device, settings, identity):
-            return kind(device, self.channels(settings)[0], settings.clock_tolerance_ppm, identity)
+            return kind(device, self.channels(settings)[0], settings.clock_tolerance_ppm)
     return Twin()
 
 UNCHECKED, FORGETFUL = driver(Unchecked), driver(Forgetful)
