@@ -25,7 +25,7 @@ from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import EVERY_OPTION
-from rig_cli.signals import end_at_next_signal, interrupt_at_signals, received
+from rig_cli.signals import dropped, end_at_next_signal, interrupt_at_signals
 from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
@@ -164,8 +164,8 @@ def _carried_out(arguments: list[str]) -> int:
         return _interrupted(str(stop))
     except Exception as error:
         code = _exit_code(error)
-        if code is None and received:
-            return _interrupted(received[-1])
+        if code is None and dropped:
+            return _interrupted(dropped[-1])
         if code is None:
             crash.report(error, arguments)
             return answer.ended(0)

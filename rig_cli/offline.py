@@ -62,6 +62,7 @@ def identify(
     Example: `rig identify out -o after.toml`
     """
     check_outputs("rig identify: -o", output, force=force)
+    from daq.guided_test_kinds import point_of
     from daq.log.rig_of_logs import RigUse, rig_of_logs
     from daq.log.time_span import TimeSpan
     from identification import identify as find
@@ -92,7 +93,7 @@ def identify(
         notify(f"warning: {warning}")
     notify(f"written to {output}")
     used = {source for estimate in found.estimates for source in estimate.sources}
-    recorded = any(run.test.startswith("point-") for run in runs)
+    recorded = any(point_of(run.test) for run in runs)
     show(identify_sentence(parameters, len(used), found.to_record, output, with_points=recorded))
     return 0
 
@@ -270,7 +271,7 @@ def _print_validation(found: Validation, what_if: list[str]) -> None:
     if what_if:
         print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
     result = found.to_json()
-    for line in whole_lines(result) if result["points"] or result["start_ups"] else ():
+    for line in whole_lines(result):
         show(line)
     print_points(result["points"])
     show(validation_sentence(result["points"], found.passed))

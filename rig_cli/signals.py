@@ -4,30 +4,39 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
-received: list[str] = []
-"""Names of the signals that came, "" for Ctrl-C. An error after one may be its consequence: callbacks of libraries drop
-the interruption, or turn it into another error."""
+dropped: list[str] = []
+"""Names of the signals whose interruption was dropped, "" for Ctrl-C: a callback of a library can raise no error. The
+compiler then fails in another way."""
 # Windows has no SIGHUP.
-_INTERRUPTING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_INTERRUPTING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def interrupt_at_signals() -> None:
-    """Let SIGTERM and SIGHUP end a command as Ctrl-C (SIGINT) does: the log is finished and the rotor stopped.
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does: the log is finished and the rotor stopped.
 
     A signal that is ignored at the start stays ignored: `nohup` keeps a recording when the terminal is closed.
     """
     for number in _INTERRUPTING:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    sys.unraisablehook = note_dropped
 
 
 def end_at_next_signal(code: int) -> None:
     """End the program with this code at the next signal, while only the interpreter is not yet ended."""
-    for number in _INTERRUPTING:
+    for number in (signal.SIGINT, *_INTERRUPTING):
         signal.signal(number, lambda number, frame: os._exit(code))
 
 
+def note_dropped(fault: sys.UnraisableHookArgs) -> None:
+    """Note an interruption that cannot be raised; print any other such error, as Python does."""
+    if issubclass(fault.exc_type, KeyboardInterrupt):
+        dropped.append(str(fault.exc_value or ""))
+    else:
+        sys.__unraisablehook__(fault)
+
+
 def _interrupt(number: int, frame: object) -> None:
-    received.append("" if number == signal.SIGINT else signal.Signals(number).name)
-    raise KeyboardInterrupt(received[-1])
+    raise KeyboardInterrupt(signal.Signals(number).name)

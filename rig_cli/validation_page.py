@@ -15,7 +15,8 @@ def whole_lines(result: Mapping[str, Any]) -> list[str]:
     agreement, explained = result.get("agreement"), result.get("explanations")
     lines: list[str] = list(result.get("reasons", ()))
     lines += [] if explained is None else explained["sentences"]
-    if agreement is not None:
+    compared = result.get("points") or result.get("start_ups")
+    if agreement is not None and (compared or not agreement["passed"]):  # "all points agree" needs a point
         lines.append(f"together: {'pass' if agreement['passed'] else 'FAIL'}: {agreement['why']}")
     return lines + [sentence for series in result.get("start_ups", ()) for sentence in series["sentences"]]
 

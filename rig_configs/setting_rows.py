@@ -51,7 +51,7 @@ def rows_of(model: type[RigTable], known: Iterable[str] = ()) -> list[SettingRow
         default = "required" if model.model_fields[name].is_required() else _default(schema.get("default"))
         groups.setdefault((_permitted(schema), texts.get(name, "")), {})[name] = default
     return [
-        SettingRow(tuple(names), ", ".join(dict.fromkeys(names.values())), values, meaning)
+        SettingRow(tuple(names), ", ".join(_together(names.values())), values, meaning)
         for (values, meaning), names in groups.items()
     ]
 
@@ -101,6 +101,12 @@ def _types_in(annotation: Any) -> Iterable[type[RigTable]]:
     if isinstance(annotation, type) and issubclass(annotation, RigTable):
         return [annotation]
     return [found for part in get_args(annotation) for found in _types_in(part)]
+
+
+def _together(defaults: Iterable[str]) -> list[str]:
+    """Return the default that all have, or else one for each."""
+    found = list(defaults)
+    return found[:1] if len(set(found)) == 1 else [each or "–" for each in found]
 
 
 def _default(value: Any) -> str:

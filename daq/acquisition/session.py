@@ -202,11 +202,6 @@ class Session:
         """Whether the session has ended: the log is complete and the links are closed."""
         return self._core.closing
 
-    @property
-    def newest_log(self) -> Path | None:
-        """Path of the newest recording; None before the first."""
-        return self._log.path
-
     def _ended(self, because: BaseException | None) -> str:
         """Return the text of the error that ended the session or a log; empty if there is none."""
         if self.trouble is not None:

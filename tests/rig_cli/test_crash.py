@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -16,6 +17,10 @@ import pytest
 
 from rig_cli import crash, main, signals
 from rig_cli.console import print_json
+
+
+def interrupted() -> None:
+    raise KeyboardInterrupt("SIGTERM")
 
 
 def fails(*_: object, **__: object) -> None:
@@ -52,13 +57,15 @@ def test_an_unforeseen_error_has_its_own_code_and_a_report(
         assert report.stat().st_mode & 0o077 == 0
 
 
-def test_an_error_after_an_interruption_is_an_interruption(
+def test_an_error_after_a_dropped_interruption_is_an_interruption(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, temporary: Path
 ) -> None:
     """A callback of the compiler drops the interruption, and the compilation then fails in another way."""
-    monkeypatch.setattr("rig_cli.model.load_rig", fails)
-    monkeypatch.setattr(signals, "received", ["SIGTERM"])
-    monkeypatch.setattr(main, "received", signals.received)
+    monkeypatch.setattr(main, "dropped", [])
+    monkeypatch.setattr(signals, "dropped", main.dropped)
+    monkeypatch.setattr(sys, "unraisablehook", signals.note_dropped)
+    call = ctypes.CFUNCTYPE(None)(interrupted)
+    monkeypatch.setattr("rig_cli.model.load_rig", lambda *_, **__: (call(), fails()))
     assert main.run(["predict", "virtual"]) == 130
     assert capsys.readouterr().err == "rig: interrupted by SIGTERM\n"
     assert not list(temporary.iterdir())

@@ -345,7 +345,7 @@ def test_a_stop_by_ctrl_c_states_rotor_and_log(
 ) -> None:
     def stopped() -> None:
         with guided_test.stop_stated() as opened:
-            opened.append(cast("Session", SimpleNamespace(newest_log=log, rotor_warning=warning)))
+            opened.append(cast("Session", SimpleNamespace(log=log, rotor_warning=warning)))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

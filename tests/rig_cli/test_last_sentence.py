@@ -19,6 +19,7 @@ from rig_cli.last_sentence import (
     validation_sentence,
 )
 from rig_cli.main import run
+from rig_cli.validation_page import whole_lines
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
 from tests.rig_cli.test_log_places import resting_rotor
@@ -162,3 +163,13 @@ def test_a_test_without_a_quick_result_ends_with_what_was_recorded(tmp_path: Pat
     early = result_sentence(TestDone("run-up", log, {}, missed="the top speed"))
     assert early == f"run-up did not reach its end: the top speed; {recorded}"
     assert "no quick result" in result_sentence(TestDone("ring-down-x", tmp_path / "no.mcap", {}))
+
+
+def test_without_a_point_all_points_agree_is_not_shown_but_a_failure_is() -> None:
+    agreement = {"passed": True, "why": "all points together agree with the model"}
+    result: dict[str, Any] = {"points": {}, "start_ups": [], "reasons": ["the run-up differs"], "agreement": agreement}
+    assert whole_lines(result) == ["the run-up differs"]
+    assert (
+        whole_lines({**result, "agreement": {"passed": False, "why": "χ² 99 on 3"}})[-1] == "together: FAIL: χ² 99 on 3"
+    )
+    assert len(whole_lines({**result, "points": {"A": {}}})) == 2

@@ -17,11 +17,15 @@ class Gauge(RigTable):
 
     Attributes:
         low, high: ends of its range, V; "|" is text.
+        first, second, third: gains.
         edge: "rising" or "falling".
     """
 
     low: Annotated[float, Field(ge=-10)] = 0.0
     high: Annotated[float, Field(ge=-10)] = 5.0
+    first: float = 1.0
+    second: float = 2.0
+    third: float = 1.0
     edge: Literal["rising", "falling"]
 
 
@@ -41,9 +45,10 @@ class Panel(RigTable):
 def test_names_of_one_meaning_share_a_row() -> None:
     assert rows_of(Gauge) == [
         SettingRow(("low", "high"), "0.0, 5.0", "≥ -10", 'ends of its range, V; "|" is text.'),
+        SettingRow(("first", "second", "third"), "1.0, 2.0, 1.0", "number", "gains."),
         SettingRow(("edge",), "required", '"rising", "falling"', '"rising" or "falling".'),
     ]
-    assert rows_of(Gauge, ["low", "high", "edge"]) == []
+    assert rows_of(Gauge, Gauge.model_fields) == []
 
 
 def test_tables_inside_stand_once() -> None:
