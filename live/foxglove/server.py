@@ -39,18 +39,6 @@ _QUIET.addHandler(logging.NullHandler())
 _QUIET.propagate = False  # port scanners are not reported to the operator
 
 
-def _not_accepted(loop: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
-    """Keep connections off the operator's terminal for which the process has no file left: they wait until others end.
-
-    The event loop reports each of them, a thousand times a second, and by default prints a traceback.
-    """
-    error = context.get("exception")
-    if isinstance(error, OSError):
-        _QUIET.debug("%s: %s", context.get("message"), error)
-    else:
-        loop.default_exception_handler(dict(context))
-
-
 class FoxgloveServer:
     """A connection that is served while the context lasts.
 
@@ -93,7 +81,7 @@ class FoxgloveServer:
         self._clients: list[Client] = []
         self._left_out = 0
         self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(_not_accepted)
+        self._loop.set_exception_handler(self._not_accepted)
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="foxglove", daemon=True)
 
@@ -135,6 +123,18 @@ class FoxgloveServer:
             self._loop.run_until_complete(self._serve())
         finally:
             self._loop.close()
+
+    def _not_accepted(self, loop: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
+        """Keep connections off the operator's terminal for which the process has no file left: they wait for others.
+
+        The event loop reports each of them, a thousand times a second, and by default prints a traceback. It tries
+        again after a second, and fails with a ValueError if the server has closed its socket in the meantime.
+        """
+        error = context.get("exception")
+        if isinstance(error, OSError) or self._listening.fileno() < 0:
+            _QUIET.debug("%s: %s", context.get("message"), error)
+        else:
+            loop.default_exception_handler(dict(context))
 
     async def _serve(self) -> None:
         async with serve(

@@ -7,7 +7,8 @@ import signal
 import socket
 import subprocess
 import sys
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from subprocess import PIPE
 
@@ -119,9 +120,9 @@ with FoxgloveServer("rig", [], {{}}, port=0) as server:
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of files need POSIX")
-def test_idle_connections_end_and_leave_the_terminal_quiet() -> None:
-    """The page of a session closes them too; here each of them made the event loop print tracebacks."""
+@contextmanager
+def _out_of_files() -> Iterator[str]:
+    """Address of a server with more connections than its process has files."""
     with (
         subprocess.Popen([sys.executable, "-c", _SERVER], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True) as server,
         ExitStack() as idle,
@@ -129,10 +130,26 @@ def test_idle_connections_end_and_leave_the_terminal_quiet() -> None:
         assert server.stdout is not None
         url = server.stdout.readline().strip()
         address = url.removeprefix("ws://").rsplit(":", 1)
-        for _ in range(_FEW_FILES + 10):  # more than the process has files
+        for _ in range(_FEW_FILES + 10):
             idle.enter_context(socket.create_connection((address[0], int(address[1])), timeout=5))
-        with connect(url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], open_timeout=30) as client:
-            assert json.loads(client.recv(timeout=5))["op"] == "serverInfo"
+        yield url
         _, printed = server.communicate("", timeout=20)
         assert printed == ""
         assert server.returncode == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of files need POSIX")
+def test_idle_connections_end_and_leave_the_terminal_quiet() -> None:
+    """The page of a session closes them too; here each of them made the event loop print tracebacks."""
+    with (
+        _out_of_files() as url,
+        connect(url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], open_timeout=30) as client,
+    ):
+        assert json.loads(client.recv(timeout=5))["op"] == "serverInfo"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of files need POSIX")
+def test_a_server_that_ends_while_connections_wait_for_a_file_leaves_the_terminal_quiet() -> None:
+    """The event loop retries to accept them after a second, on a socket that is closed by then."""
+    with _out_of_files():
+        pass
