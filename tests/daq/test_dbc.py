@@ -20,7 +20,6 @@ from daq.drivers.dbc import layouts
 from daq.drivers.dbc.driver import DRIVER, DbcDriver
 from daq.drivers.dbc.example import DBC, SETTINGS
 from daq.drivers.dbc.layouts import database, message
-from daq.drivers.dbc.positions import Positions
 from daq.drivers.dbc.settings import CanSensors
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
@@ -245,8 +244,10 @@ def test_a_number_that_cannot_be_right_gives_no_sample_and_one_that_goes_on_is_a
 
 
 def test_a_counter_that_stands_still_gives_one_sample() -> None:
-    found = Positions(500_000.0, 8, 1.0).feed(np.full(100, 7), 1000 * MS)
-    assert (int(found.kept.sum()), found.doubtful) == (1, 99)
+    line = pipeline(quantities={}, y=None, x__timestamp=None)
+    found = line.feed(RX, 100 * x_frames(7, 1), 1000 * MS)
+    assert sum(len(batch.time_ns) for batch in batches(found, "laser/x")) == 1
+    assert line.losses["doubtful_frames"] == 99
 
 
 def test_samples_without_counter_and_timestamp_have_the_times_of_their_reads() -> None:

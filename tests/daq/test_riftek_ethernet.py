@@ -124,8 +124,8 @@ def test_packets_that_come_twice_or_late_give_no_samples() -> None:
     for number in (0, 1, 3):
         line.feed(RX, packet(number), at(number))
     assert line.feed(RX, packet(3) + packet(2), at(3)) == []
-    assert line.repeated_packets == 2
     assert kinds(line.feed(RX, packet(4), at(4))) == []
+    assert line.repeated_packets == 2
     assert line.losses["samples"] == 168
 
 

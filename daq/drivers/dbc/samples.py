@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,39 @@ from numpy.typing import NDArray
 
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.dbc.layouts import FRAME_BYTES, MessageLayout, SignalLayout
-from daq.drivers.dbc.positions import Placed, Positions, Stamps
+from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
+from daq.numbered.stream import Count, NumberedStream, Stretch
 from rig_basics.texts import number_of
 
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
+_MOST_BITS = 62
+"""Bits of a counter or timestamp that are used, so that continuous numbers have 64."""
 
 Items = list[Batch | DeviceEvent]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames of one message.
+
+    Attributes:
+        data: uint8, shape (n, 8).
+        numbers: continuous numbers, int64, shape (n,), where they are known.
+    """
+
+    data: NDArray[np.uint8]
+    numbers: NDArray[np.int64]
+
+    def __getitem__(self, part: slice) -> Frames:
+        return Frames(self.data[part], self.numbers[part])
+
+    @staticmethod
+    def joined(parts: Sequence[Frames]) -> Frames:
+        """Join several."""
+        return Frames(np.concatenate([each.data for each in parts]), np.concatenate([each.numbers for each in parts]))
 
 
 class LaserStream:
@@ -51,27 +75,30 @@ class LaserStream:
         self._period_ns = 1e9 / table.rate_Hz
         self._tolerance_ppm = table.clock_tolerance_ppm
         self._clock = ClockMap(self._tolerance_ppm, seed)
-        ahead = group.timestamp is None
-        self._frames = (
-            Positions(self._period_ns, group.counter.bits.length, 1.0, looks_ahead=ahead) if group.counter else None
-        )
-        self._waiting = np.zeros((0, FRAME_BYTES), np.uint8)  # frames that are not placed yet
-        self._waiting_ns = 0  # time of the newest read of them
-        self._times = (
-            Positions(group.tick_ns, group.timestamp.bits.length, self._period_ns / group.tick_ns)
-            if group.timestamp
-            else None
-        )
+        self._frames = None if group.counter is None else self._counting(group.counter)
+        self._times = None if group.timestamp is None else self._timing(group.timestamp)
         # a doubt, no fault: silent displacements are an interlock of the host
         self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, "doubt")
         self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one
 
+    def _counting(self, counter: SignalLayout) -> NumberedStream[Frames]:
+        """Return the order of frames by their counter; a timestamp shows how often it begins again in a gap."""
+        timestamp, tick_ns = self._group.timestamp, self._group.tick_ns
+        clock = (0, 1.0) if timestamp is None else (_size(timestamp), self._period_ns / tick_ns)
+        return NumberedStream(Count(_size(counter), self._period_ns, 1.0, *clock, is_checked=False), Frames.joined)
+
+    def _timing(self, timestamp: SignalLayout) -> NumberedStream[Frames]:
+        """Return the order of frames by their timestamp."""
+        step = self._period_ns / self._group.tick_ns
+        return NumberedStream(Count(_size(timestamp), self._period_ns, step, is_checked=False), Frames.joined)
+
     @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
-        if self._times is not None:
-            return self._clock.seed(round(self._times.wrap * self._group.tick_ns))
-        return None if self._frames is None else self._clock.seed(round(self._frames.wrap * self._period_ns))
+        group = self._group
+        if group.timestamp is not None:
+            return self._clock.seed(round(_size(group.timestamp) * group.tick_ns))
+        return None if group.counter is None else self._clock.seed(round(_size(group.counter) * self._period_ns))
 
     def feed(self, data: NDArray[np.uint8], host_ns: int) -> Items:
         """Decode frames of the message, shape (n, 8)."""
@@ -80,81 +107,72 @@ class LaserStream:
         if not len(data):
             return []
         out: Items = [*self.watch.heard(host_ns)]
-        if self._frames is not None and self._group.counter is not None:
-            new = len(data)
-            data = np.concatenate([self._waiting, data]) if len(self._waiting) else data
-            undecided = self._frames.undecided(self._group.counter.raw(data), new, host_ns)
-            self._waiting, self._waiting_ns = (data if undecided else data[:0]), host_ns
-            if undecided:
-                return out
-        return out + self._decided(data, host_ns)
+        counter, timestamp = self._group.counter, self._group.timestamp
+        frames = Frames(data, np.arange(self._number, self._number + len(data)))
+        if self._frames is not None and counter is not None:
+            times = None if timestamp is None else _numbers(timestamp, data)
+            return out + self._counted(self._frames, self._frames.feed(_numbers(counter, data), frames, host_ns, times))
+        self._number += len(data)
+        if self._times is not None:
+            return out + self._stamped(self._times, self._times_of(self._times, frames, host_ns), None)
+        return out + self._batches(frames, None, host_ns)
 
     def rest(self) -> Items:
-        """Decode the frames that still wait at the end of a log, with nothing but their counter to place them."""
-        data, self._waiting = self._waiting, self._waiting[:0]
-        return self._decided(data, self._waiting_ns) if len(data) else []
+        """Decode the frames that still wait at the end of a log."""
+        out = [] if self._frames is None else self._counted(self._frames, self._frames.end())
+        return out if self._times is None else out + self._stamped(self._times, self._times.end(), self._frames)
 
-    def _decided(self, data: NDArray[np.uint8], host_ns: int) -> Items:
-        """Decode frames of shape (n, 8), n ≥ 1, that do not wait any longer; `host_ns` belongs to the last one."""
-        out: Items = []
-        number = device = None
-        if self._frames is not None and self._group.counter is not None:
-            number = self._frames.feed(self._group.counter.raw(data), host_ns, self._stamps(data))
-            out += self._events(number)
-            data = data[number.kept]
-        if self._times is not None and self._group.timestamp is not None and len(data):
-            device = self._times.feed(self._group.timestamp.raw(data), host_ns)
-            out += self._events(device) if number is None else self._contradictions(device, number)
-            data = data[device.kept]
-        if len(data):
-            out += self._samples(data, number, device, host_ns)
+    def _times_of(self, times: NumberedStream[Frames], frames: Frames, host_ns: int) -> list[Stretch[Frames]]:
+        assert self._group.timestamp is not None
+        return times.feed(_numbers(self._group.timestamp, frames.data), frames, host_ns)
+
+    def _counted(self, order: NumberedStream[Frames], found: list[Stretch[Frames]]) -> Items:
+        """Return the samples of frames that are placed by their counter."""
+        out = self._damaged(order)
+        for stretch in found:
+            out += self._lost(stretch)
+            frames = Frames(stretch.rows.data, stretch.numbers)
+            if stretch.is_restart:
+                out += self._started_again()
+                self._times = None if self._group.timestamp is None else self._timing(self._group.timestamp)
+            if self._times is not None:
+                out += self._stamped(self._times, self._times_of(self._times, frames, stretch.host_ns), order)
+            else:
+                own_ns = np.rint(stretch.numbers * self._period_ns).astype(np.int64)
+                out += self._batches(frames, own_ns, stretch.host_ns)
         return out
 
-    def _stamps(self, data: NDArray[np.uint8]) -> Stamps | None:
-        """Return the timestamps of frames, or None without a timestamp."""
-        if self._times is None or self._group.timestamp is None:
-            return None
-        wrap = self._times.wrap
-        return Stamps(self._group.timestamp.raw(data) & (wrap - 1), wrap, self._period_ns / self._group.tick_ns)
-
-    def _samples(self, data: NDArray[np.uint8], number: Placed | None, device: Placed | None, host_ns: int) -> Items:
-        if number is None:
-            numbers = np.arange(self._number, self._number + len(data))
-            self._number += len(data)
-        else:
-            numbers = number.position if device is None else number.position[device.kept]
-        if device is not None:
-            device_ns = np.rint(device.position * self._group.tick_ns).astype(np.int64)
-        elif number is not None:
-            device_ns = np.rint(number.position * self._period_ns).astype(np.int64)
-        else:
-            device_ns = None
-        placed = device or number
-        restarts = placed.restarts if placed else []
-        out: Items = []
-        for start, end in zip([0, *restarts], [*restarts, len(data)], strict=True):
-            if start in restarts:
-                self._clock = ClockMap(self._tolerance_ppm)
-            if start < end:
-                out += self._batches(data[start:end], numbers[start:end], device_ns, slice(start, end), host_ns)
-        return out
-
-    def _batches(
-        self,
-        data: NDArray[np.uint8],
-        numbers: NDArray[np.int64],
-        device_ns: NDArray[np.int64] | None,
-        part: slice,
-        host_ns: int,
+    def _stamped(
+        self, times: NumberedStream[Frames], found: list[Stretch[Frames]], order: NumberedStream[Frames] | None
     ) -> Items:
-        own_ns = time_ns = self._host_times(len(data), host_ns)
-        if device_ns is not None:
-            own_ns = device_ns[part]
+        """Return the samples of frames that are placed by their timestamps, or have them besides their counter."""
+        out = self._damaged(times)
+        for stretch in found:
+            if order is None:
+                out += self._lost(stretch)
+            if stretch.is_restart:
+                out += self._started_again()
+            own_ns = np.rint(stretch.numbers * self._group.tick_ns).astype(np.int64)
+            out += self._batches(stretch.rows, own_ns, stretch.host_ns)
+        return out
+
+    def _started_again(self) -> Items:
+        self._clock = ClockMap(self._tolerance_ppm)
+        text = f"the numbers of {self.message.name} do not continue: the sensor started again"
+        return [DeviceEvent("restart", self._device, text)]
+
+    def _batches(self, frames: Frames, own_ns: NDArray[np.int64] | None, host_ns: int) -> Items:
+        """Return samples; `own_ns` are their times on the sensor's clock, ns, shape (n,)."""
+        data = frames.data
+        time_ns = self._host_times(len(data), host_ns)
+        if own_ns is None:
+            own_ns = time_ns
+        else:
             time_ns = self._clock.map(own_ns, host_ns)
             if time_ns[0] <= self._last_ns:  # a new map of a sensor that started again
                 time_ns = np.maximum(time_ns, self._last_ns + 1 + np.arange(len(time_ns)))
         self._last_ns = int(time_ns[-1])
-        sequence = (numbers % 2**32).astype(np.uint32)
+        sequence = (frames.numbers % 2**32).astype(np.uint32)
         ticks = (own_ns // _TICK_NS).astype(np.uint64)
         out: Items = []
         for laser in self._lasers:
@@ -169,38 +187,38 @@ class LaserStream:
         spread = host_ns - np.rint(np.arange(count - 1, -1, -1) * self._period_ns).astype(np.int64)
         return np.maximum(spread, self._last_ns + 1 + np.arange(count))
 
-    def _events(self, placed: Placed) -> Items:
-        """Count losses and return their events."""
-        out: Items = self._doubtful(placed)
-        for index, frames in placed.gaps.items():
-            samples, span_s = frames * len(self._lasers), frames * self._period_ns * 1e-9
-            self._losses["samples"] += samples
-            about = "about " if index in placed.about else ""
-            facts: dict[str, Any] = {"samples": samples, "span_s": span_s}
-            if about:
-                facts["uncertain_samples"] = samples
-            text = f"{about}{number_of(frames, 'frame')} of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
-            out.append(DeviceEvent("gap", self._device, text, facts))
-        return [*out, *self._restarts(placed)]
-
-    def _contradictions(self, device: Placed, number: Placed) -> Items:
-        """Count frames whose number is right and whose time is not; return the events."""
-        self._losses["samples"] += device.doubtful * len(self._lasers)
-        return self._doubtful(device) + ([] if number.restarts else self._restarts(device))
-
-    def _restarts(self, placed: Placed) -> Items:
-        text = f"the numbers of {self.message.name} do not continue: the sensor started again"
-        return [DeviceEvent("restart", self._device, text) for _ in placed.restarts]
-
-    def _doubtful(self, placed: Placed) -> Items:
-        if not placed.doubtful:
+    def _lost(self, stretch: Stretch[Frames]) -> Items:
+        """Count lost frames and return their event."""
+        if not stretch.lost:
             return []
-        self._losses["doubtful_frames"] += placed.doubtful
-        text = (
-            f"{number_of(placed.doubtful, 'frame')} of {self.message.name} dropped: their number or time "
-            f"cannot be right"
-        )
-        return [DeviceEvent("damage", self._device, text, {"frames": placed.doubtful})]
+        samples, span_s = stretch.lost * len(self._lasers), stretch.lost * self._period_ns * 1e-9
+        self._losses["samples"] += samples
+        facts: dict[str, Any] = {"samples": samples, "span_s": span_s}
+        if stretch.is_about:
+            facts["uncertain_samples"] = samples
+        about = "about " if stretch.is_about else ""
+        text = f"{about}{number_of(stretch.lost, 'frame')} of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
+        return [DeviceEvent("gap", self._device, text, facts)]
+
+    def _damaged(self, order: NumberedStream[Frames]) -> Items:
+        """Count the frames that were dropped since the last call, and return their event."""
+        dropped, order.damaged = order.damaged, 0
+        if not dropped:
+            return []
+        self._losses["doubtful_frames"] += dropped
+        if order is self._times and self._frames is not None:  # their counter does not show that they are missing
+            self._losses["samples"] += dropped * len(self._lasers)
+        text = f"{number_of(dropped, 'frame')} of {self.message.name} dropped: their number or time cannot be right"
+        return [DeviceEvent("damage", self._device, text, {"frames": dropped})]
+
+
+def _size(number: SignalLayout) -> int:
+    """Return the number of different values of a counter or timestamp."""
+    return 2 ** min(number.bits.length, _MOST_BITS)
+
+
+def _numbers(number: SignalLayout, data: NDArray[np.uint8]) -> NDArray[np.int64]:
+    return number.raw(data) & (_size(number) - 1)
 
 
 class _Laser:

@@ -1,7 +1,7 @@
 """Pipeline of an RF60x sensor on Ethernet: packets to displacement of the disk centre.
 
 The time of a sample is its number times the sampling period on the sensor's clock, mapped to the common clock.
-Datagrams can be lost, come twice, or come late, and the sensor may start again: see `order`.
+Datagrams can be lost, come twice, or come late, and the sensor may start again: see daq.numbered.
 """
 
 from __future__ import annotations
@@ -17,12 +17,14 @@ from daq.clock import ClockMap, ClockSeed
 from daq.drivers.riftek.wire import FULL_SCALE, metres
 from daq.drivers.riftek_ethernet import wire
 from daq.drivers.riftek_ethernet.identity import words_for
-from daq.drivers.riftek_ethernet.order import PacketOrder, Placed
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
+from daq.numbered.stream import Count, NumberedStream, Stretch, chained
 from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
+_LATE_PACKETS = 8
+"""Packets by which a network may deliver one late, or twice: it does so within a third of a second."""
 _OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets of another one are a fault
 
 Items = list[Batch | DeviceEvent]
@@ -48,7 +50,8 @@ class RiftekEthernetPipeline:
         self._decoder = wire.PacketDecoder(settings.range_mm, settings.checksum, serial=self._wanted)
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         self._period_ns = 1e9 / settings.rate_Hz
-        self._order = PacketOrder(settings.rate_Hz)
+        count = Count(wire.NUMBERS, wire.RESULTS * self._period_ns, late_messages=_LATE_PACKETS)
+        self._order = NumberedStream[list[wire.Packet]](count, chained)
         self._serial: int | None = None
         self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor, or of the first read
         self._next = 0  # number of the next sample
@@ -74,7 +77,7 @@ class RiftekEthernetPipeline:
             return []
         out: Items = []
         if not data:
-            return [item for placed in self._order.end() for item in self._placed(placed)]
+            return [item for stretch in self._order.end() for item in self._placed(stretch)]
         self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
         found = self._decoder.feed(data)
         if found.skipped_bytes:
@@ -88,8 +91,8 @@ class RiftekEthernetPipeline:
             out += self._identified(packet.serial)
             if not self.complaint:
                 self._heard_ns = host_ns
-                for placed in self._order.take(packet, host_ns):
-                    out += self._placed(placed)
+                for stretch in self._order.feed(np.array([packet.number]), [packet], host_ns):
+                    out += self._placed(stretch)
         return out
 
     def _is_between(self, serial: int, host_ns: int) -> bool:
@@ -113,13 +116,13 @@ class RiftekEthernetPipeline:
             text += f"; received: {received}"
         return DeviceEvent("damage", self._device, text, {"bytes": count})
 
-    def _placed(self, placed: Placed) -> Items:
+    def _placed(self, stretch: Stretch[list[wire.Packet]]) -> Items:
         out: Items = []
-        if placed.is_restart:
+        if stretch.is_restart:
             self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm), 0
             out.append(DeviceEvent("restart", self._device, "its packets' number does not continue: it started again"))
-        elif placed.lost:
-            lost = placed.lost * wire.RESULTS
+        elif stretch.lost:
+            lost = stretch.lost * wire.RESULTS
             self.losses["samples"] += lost
             self._next += lost
             span_s = lost * self._period_ns * 1e-9
@@ -127,7 +130,7 @@ class RiftekEthernetPipeline:
             out.append(
                 DeviceEvent("gap", self._device, f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)", facts)
             )
-        return [*out, self._samples(placed.packet, placed.host_ns)]
+        return [*out, *(self._samples(packet, stretch.host_ns) for packet in stretch.rows)]
 
     def _identified(self, serial: int) -> Items:
         """Compare the sensor's serial number with the expected one; no samples are taken of another sensor."""

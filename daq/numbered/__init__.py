@@ -1,0 +1,1 @@
+"""Places of a sender's messages in its count."""

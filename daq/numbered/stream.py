@@ -1,0 +1,465 @@
+"""Where in its sender's count each message is: next, repeated, after lost ones, or after a new start of the sender.
+
+A message has a number that begins again after `size`, and may have a time of its sender's clock. Its place is the
+number plus an unknown count of whole cycles. The sender's clock decides between them as far as it reaches. Beyond that
+the host's time does: a message cannot be received before it was sent, and only a delayed one later than the others.
+
+    the next number                              ─▶ placed
+    a later number that is due                   ─▶ placed after lost messages
+    a number that is not due yet                 ─▶ started again, damaged, or sent earlier
+    late, by a whole cycle or between two cycles ─▶ lost messages, started again, or only the host was late
+
+What a message does not decide waits for those after it. After a delay they come faster than they were sent, until one
+is in time. After a loss or a new start they come at their usual pace, and remain late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Generic, Literal, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.numbered.due_line import RATE_ERROR, DueLine
+
+_HOST_NS = 10e6
+"""Delay of a host under usual load, which shows nothing."""
+_EDGE = 0.1
+"""Share of a cycle by which the least delayed messages may lie above the line that none can come before."""
+_CHANCE = 0.01
+"""Largest share of a cycle within the tolerance: so often a delay of the host looks like whole lost cycles."""
+_SILENT = 0.8
+"""Share of missing messages for whose duration the line must have been silent; a delay may cover the rest."""
+_PERSISTS_NS, _PERSISTS_MESSAGES, _PERSISTS_READS = 120e6, 3, 4
+"""Messages that stay late for so long were not delayed by the host; they are so many messages and reads at least."""
+_CATCHES_UP, _FALLS_BEHIND = 0.25, 0.5
+"""Changes of the lateness that no loss explains: relative to itself, and to the time in which it changes."""
+_STARTS_NS = 100e6
+"""Time that a sender needs at least to start again."""
+_BURST = 0.5
+"""Share of the time in which messages were sent, within which they come if they have waited for the host."""
+_MOST_WAITING = 4096
+
+
+class Rows(Protocol):
+    """Contents of consecutive messages, for example a list or an array."""
+
+    def __getitem__(self, part: slice, /) -> Self: ...
+
+
+R = TypeVar("R", bound=Rows)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Count:
+    """Numbers of a sender's messages.
+
+    Attributes:
+        size: number of different numbers; 1 if messages have none.
+        period_ns: time between two messages by the rig file, ns.
+        step: numbers from one message to the next.
+        clock_size: number of different times of the sender's clock; 0 without one.
+        clock_step: its step from one message to the next.
+        late_messages: number of messages by which one may come late, or once more; 0 of a line that keeps their order.
+        is_checked: whether a message with a damaged number is impossible.
+    """
+
+    size: int
+    period_ns: float
+    step: float = 1.0
+    clock_size: int = 0
+    clock_step: float = 1.0
+    late_messages: int = 0
+    is_checked: bool = True
+
+
+@dataclass(frozen=True)
+class Stretch(Generic[R]):
+    """Consecutive messages of one read.
+
+    Attributes:
+        numbers: continuous numbers, int64, shape (n,); those after a new start begin with the sender's own.
+        rows: their contents.
+        host_ns: host time of the read, ns.
+        lost: number of messages missing before them.
+        is_about: whether `lost` is an estimate from the host's time.
+        is_restart: whether the sender started again before them.
+    """
+
+    numbers: NDArray[np.int64]
+    rows: R
+    host_ns: int
+    lost: int = 0
+    is_about: bool = False
+    is_restart: bool = False
+
+
+@dataclass(frozen=True)
+class _Message(Generic[R]):
+    """A message with the place that it has if no whole cycle is missing before it.
+
+    Attributes:
+        number, time: as received; `time` of its sender's clock.
+        place: continuous number.
+        missing: number of messages missing before it, after the one before it.
+        cycle_ns: time after which number and clock are the same again, ns.
+        late_ns: lateness at this place, ns.
+        at_ns, host_ns: time of its arrival, estimated from those after it in its read, and of the read, ns.
+        row: its content.
+    """
+
+    number: int
+    time: int
+    place: int
+    missing: int
+    cycle_ns: float
+    late_ns: float
+    at_ns: int
+    host_ns: int
+    row: R
+
+
+_Why = Literal["jumped", "too early", "sent earlier", "late"]
+
+
+def chained(parts: Sequence[list[T]]) -> list[T]:
+    """Join the contents of messages that are lists."""
+    return [each for part in parts for each in part]
+
+
+class NumberedStream(Generic[R]):
+    """Places the messages of one sender; see the module.
+
+    Args:
+        count: their numbers.
+        joined: joins the contents of several messages.
+
+    Attributes:
+        repeated: number of messages that came again or too late, and were dropped.
+        damaged: number of messages that were dropped because of their number.
+    """
+
+    def __init__(self, count: Count, joined: Callable[[Sequence[R]], R]) -> None:
+        self.repeated: int = 0
+        self.damaged: int = 0
+        self._count, self._joined = count, joined
+        self._number_ns = count.period_ns / count.step
+        self._tolerance_ns = min(0.5 * count.size * self._number_ns, max(_HOST_NS, 0.5 * count.period_ns))
+        self._due = DueLine(self._tolerance_ns)
+        self._place = self._time = 0  # of the newest message with a place
+        self._waiting: list[_Message[R]] = []
+        self._why: _Why = "late"
+        self._stands_still = False  # whether the newest message had the number of that before it
+
+    def feed(
+        self, numbers: NDArray[np.int64], rows: R, host_ns: int, times: NDArray[np.int64] | None = None
+    ) -> list[Stretch[R]]:
+        """Take the messages of one read.
+
+        Args:
+            numbers: their numbers, int64, shape (n,), n ≥ 1.
+            rows: their contents.
+            host_ns: host time of the read, ns.
+            times: times of their sender's clock, int64, shape (n,); None without one.
+
+        Returns:
+            Messages that have a place now, in order.
+        """
+        times = np.zeros(len(numbers), np.int64) if times is None else times
+        if not self._due.begun:
+            self._begin(int(numbers[0]), int(times[0]))
+        if not self._waiting:
+            steps, cycles_ns = self._steps(self._place, self._time, numbers, times)
+            places = self._place + np.cumsum(steps)
+            late_ns = self._late_ns(int(places[-1]), host_ns)
+            is_next = bool(np.all(np.abs(steps - self._count.step) < 0.5 * self._count.step))
+            if is_next and self._cycles(late_ns, float(cycles_ns.min()), host_ns) < 1:
+                self._time = int(times[-1])
+                return [self._placed(places, rows, host_ns)]
+        out: list[Stretch[R]] = []
+        for i, (number, time) in enumerate(zip(numbers.tolist(), times.tolist(), strict=True)):
+            at_ns = host_ns - round((len(numbers) - 1 - i) * self._count.period_ns * self._due.pace)
+            out += self._take((number, time, at_ns, host_ns, rows[i : i + 1]))
+        return self._merged(out)
+
+    def end(self) -> list[Stretch[R]]:
+        """Return the messages that wait; no others come."""
+        return self._merged(self._settled())
+
+    def _begin(self, number: int, time: int) -> None:
+        """Let the next message have no other before it."""
+        self._place = number - round(self._count.step)
+        self._time = time - round(self._count.clock_step)
+        self._due = DueLine(self._tolerance_ns)
+
+    # --- steps ----------------------------------------------------------------------------------------------------
+
+    def _steps(
+        self, place: int, time: int, numbers: NDArray[np.int64], times: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the least steps from one message to the next, and the times after which they are the same again, ns.
+
+        Args:
+            place, time: of the message before them.
+            numbers, times: shape (n,).
+        """
+        count = self._count
+        steps = (np.diff(numbers, prepend=place) - 1) % count.size + 1
+        cycles_ns = np.full(len(steps), count.size * self._number_ns)
+        if not count.clock_size:
+            return steps, cycles_ns
+        passed = np.diff(times, prepend=time) % count.clock_size / count.clock_step * count.step
+        cycles = np.maximum(0, np.rint((passed - steps) / count.size)).astype(np.int64)
+        unlike = np.abs(passed - steps - cycles * count.size)
+        agree = unlike < np.minimum(0.5 * count.step + RATE_ERROR * passed, 0.25 * count.size)
+        clock_ns = np.maximum(count.clock_size / count.clock_step * count.period_ns, cycles_ns)
+        return steps + np.where(agree, cycles * count.size, 0), np.where(agree, clock_ns, cycles_ns)
+
+    def _late_ns(self, place: int, at_ns: int) -> float:
+        return self._due.late_ns(place * self._number_ns, at_ns)
+
+    def _cycles(self, late_ns: float, cycle_ns: float, at_ns: int) -> int:
+        """Return the whole cycles in a lateness. A delay makes it longer, and only an error of the line shorter."""
+        error_ns = min(_HOST_NS, _EDGE * cycle_ns) + self._due.tolerance_ns(at_ns) - self._tolerance_ns
+        return max(0, int((late_ns + min(error_ns, 0.5 * cycle_ns)) / cycle_ns))
+
+    def _missing(self, step: int) -> int:
+        return round(step / self._count.step) - 1
+
+    def _message(self, place: int, time: int, received: tuple[int, int, int, int, R]) -> _Message[R]:
+        """Return a message with its place after another one, whose place and time are given."""
+        number, own_time, at_ns, host_ns, row = received
+        steps, cycles_ns = self._steps(place, time, np.array([number]), np.array([own_time]))
+        step, cycle_ns = int(steps[0]), float(cycles_ns[0])
+        if step > self._count.size and self._late_ns(place + step, at_ns) < -self._due.early_ns(at_ns):
+            step = (step - 1) % self._count.size + 1  # the clock's time is damaged
+            cycle_ns = self._count.size * self._number_ns
+        here = place + step
+        return _Message(
+            number,
+            own_time,
+            here,
+            self._missing(step),
+            cycle_ns,
+            self._late_ns(here, at_ns),
+            at_ns,
+            host_ns,
+            row,
+        )
+
+    # --- one message ----------------------------------------------------------------------------------------------
+
+    def _take(self, received: tuple[int, int, int, int, R]) -> list[Stretch[R]]:
+        """Take number, time, arrival, read and content of a message."""
+        here = self._message(self._place, self._time, received)
+        if not self._waiting:
+            return self._alone(here)
+        newest = self._waiting[-1]
+        after = self._message(newest.place, newest.time, received)
+        if self._goes_on(here, after):
+            self._drop()
+            return self._put([here], here.missing)
+        more_ns = after.late_ns - newest.late_ns
+        if after.missing and (after.late_ns if self._why == "late" else more_ns) < -self._due.early_ns(after.at_ns):
+            if self._behind(after) < self._count.late_messages:
+                self.repeated += 1
+                return []
+            return [*self._settled(), *self._take(received)]  # it does not go on from those that wait
+        if self._why == "late" and self._tolerance_ns < more_ns < (after.at_ns - newest.host_ns) / _SILENT:
+            return [*self._put(self._waiting, self._waiting[0].missing), *self._take(received)]
+        self._waiting.append(after)
+        return self._decided()
+
+    def _goes_on(self, here: _Message[R], after: _Message[R]) -> bool:
+        """Whether a message goes on from the newest one with a place, and not from those that wait."""
+        if self._why == "late":
+            return False
+        if here.missing == 0:
+            return self._why != "jumped" or after.missing > 0
+        if self._why == "sent earlier":
+            in_time = -self._due.early_ns(here.at_ns) <= here.late_ns <= self._due.tolerance_ns(here.at_ns)
+            return after.missing > 0 and in_time
+        return after.missing > 0 and here.missing == len(self._waiting)  # they stand where others are missing
+
+    def _alone(self, here: _Message[R]) -> list[Stretch[R]]:
+        """Take a message while no other one waits."""
+        silent_ns = here.at_ns - self._due.heard_ns
+        missing_ns = here.late_ns + here.missing * self._count.period_ns
+        tolerance_ns = self._due.tolerance_ns(here.at_ns)
+        was_silent = silent_ns >= _SILENT * missing_ns
+        if here.missing == 0 and (self._cycles(here.late_ns, here.cycle_ns, here.at_ns) < 1 or not was_silent):
+            return self._put([here], 0)
+        is_same = self._behind(here) == 0 and (here.late_ns < -tolerance_ns or self._stands_still)
+        if is_same or here.late_ns < -self._due.early_ns(here.at_ns):
+            return self._too_early(here)
+        if here.late_ns <= tolerance_ns:
+            return self._put([here], here.missing) if self._count.is_checked else self._wait(here, "jumped")
+        cycles = self._cycles(here.late_ns, here.cycle_ns, here.at_ns)
+        is_due = abs(here.late_ns - cycles * here.cycle_ns) <= tolerance_ns
+        if self._count.is_checked and is_due and 2 * tolerance_ns < _CHANCE * here.cycle_ns:
+            return self._put([here], here.missing, cycles)
+        if not was_silent:
+            return self._put([here], here.missing)
+        return self._wait(here, "late")
+
+    def _too_early(self, here: _Message[R]) -> list[Stretch[R]]:
+        """Take a message that cannot have been sent yet if it comes after the newest one."""
+        behind = self._behind(here)
+        if behind <= self._count.late_messages:
+            if not self._count.late_messages:  # the same number again
+                self.damaged += 1
+                self._stands_still = True
+                return []
+            return self._wait(here, "sent earlier")
+        return self._restarted([here]) if self._count.is_checked else self._wait(here, "too early")
+
+    def _behind(self, here: _Message[R]) -> int:
+        """Return the number of messages by which a message comes before the one that it was compared with."""
+        return self._missing(self._count.size) - here.missing
+
+    def _wait(self, here: _Message[R], why: _Why) -> list[Stretch[R]]:
+        self._waiting, self._why = [here], why
+        return []
+
+    def _drop(self) -> None:
+        """Drop the messages that wait."""
+        if self._why == "sent earlier":
+            self.repeated += len(self._waiting)
+        else:
+            self.damaged += len(self._waiting)
+        self._waiting = []
+
+    # --- messages that wait ---------------------------------------------------------------------------------------
+
+    def _decided(self) -> list[Stretch[R]]:
+        """Decide about the messages that wait, with a newer one."""
+        first, newest = self._waiting[0], self._waiting[-1]
+        is_in_time = self._why == "late" and newest.late_ns <= self._due.tolerance_ns(newest.at_ns)
+        if self._why == "jumped" or is_in_time:
+            return self._put(self._waiting, first.missing)
+        if self._why == "too early":
+            return self._restarted(self._waiting)
+        if len(self._waiting) >= _MOST_WAITING:
+            return self._settled()
+        change = self._change()
+        if change is None:
+            return []
+        if self._why == "sent earlier":
+            return self._restarted(self._waiting)
+        return self._late(*change)
+
+    def _change(self) -> tuple[float, float] | None:
+        """Return the least lateness of the newer messages, and by how much it changes; None if it is too early.
+
+        The change is infinite if no loss explains it.
+        """
+        reads = [list(group)[-1] for _, group in groupby(self._waiting, key=lambda each: each.host_ns)]
+        begin_ns = reads[0].host_ns
+        passed_ns = reads[-1].host_ns - begin_ns
+        enough_ns = max(_PERSISTS_NS, _PERSISTS_MESSAGES * self._count.period_ns)
+        is_short = passed_ns < enough_ns or len(reads) < _PERSISTS_READS
+        if len(reads) < 2 or (is_short and passed_ns < 2 * enough_ns):
+            return None
+        early = min(each.late_ns for each in reads if each.host_ns - begin_ns <= passed_ns / 2)
+        late = min(each.late_ns for each in reads if each.host_ns - begin_ns > passed_ns / 2)
+        if late < early - max(self._tolerance_ns, _CATCHES_UP * early):
+            return None if passed_ns < 2 * enough_ns else (late, np.inf)
+        falls = late - early >= max(_FALLS_BEHIND * passed_ns / 2, 2 * self._tolerance_ns)
+        return late, np.inf if falls else abs(late - early)
+
+    def _late(self, late_ns: float, change_ns: float) -> list[Stretch[R]]:
+        """Place messages that remain late: after whole cycles, after a new start, or with a delay of the host."""
+        waiting = self._waiting
+        first = waiting[0]
+        cycles = self._cycles(late_ns, first.cycle_ns, first.at_ns)
+        off_ns = abs(late_ns - cycles * first.cycle_ns)
+        if np.isfinite(change_ns):
+            if off_ns <= self._due.tolerance_ns(first.at_ns) + self._tolerance_ns + change_ns:
+                at = self._beginning(late_ns)
+                before = self._put(waiting[:at], first.missing) if at else []
+                return [*before, *self._put(waiting[at:], waiting[at].missing, cycles)]
+            if first.missing and late_ns > _STARTS_NS:
+                return self._restarted(waiting)
+        return self._put(waiting, first.missing)
+
+    def _beginning(self, late_ns: float) -> int:
+        """Return the index of the waiting message from which on all are late, or of the first jump in its read."""
+        before = [i for i, each in enumerate(self._waiting) if each.late_ns < late_ns - 0.5 * self._tolerance_ns]
+        first = before[-1] + 1 if before else 0
+        of_one_read = [each for each in self._waiting[first:] if each.host_ns == self._waiting[first].host_ns]
+        return first + next((i for i, each in enumerate(of_one_read) if each.missing), 0)
+
+    def _settled(self) -> list[Stretch[R]]:
+        """Place or drop the messages that wait, without others after them."""
+        if not self._waiting:
+            return []
+        first, newest = self._waiting[0], self._waiting[-1]
+        sent_ns = (newest.place - first.place) * self._number_ns
+        is_burst = len(self._waiting) == 1 or newest.host_ns - first.host_ns < _BURST * sent_ns
+        if self._why == "jumped" or (self._why == "late" and is_burst):
+            return self._put(self._waiting, first.missing)
+        if self._why == "late":
+            return self._late(min(each.late_ns for each in self._waiting), 0.0)
+        if is_burst or self._why == "too early":
+            self._drop()
+            return []
+        return self._restarted(self._waiting)
+
+    # --- results --------------------------------------------------------------------------------------------------
+
+    def _put(self, messages: list[_Message[R]], missing: int, cycles: int = 0) -> list[Stretch[R]]:
+        """Place messages after `missing` ones and whole cycles, of which none is certain."""
+        first = messages[0]
+        lost = missing + round(cycles * first.cycle_ns / self._count.period_ns)
+        shift = round(cycles * first.cycle_ns / self._number_ns)
+        is_about = cycles > 0 and 2 * self._due.tolerance_ns(first.at_ns) > _CHANCE * first.cycle_ns
+        return self._stretches(messages, shift, lost, is_about=is_about)
+
+    def _restarted(self, messages: list[_Message[R]]) -> list[Stretch[R]]:
+        """Place messages after a new start of the sender."""
+        first = messages[0]
+        silent_ns = first.at_ns - self._due.heard_ns
+        lost = max(0, round(silent_ns / self._count.period_ns) - 1)
+        self._begin(first.number, first.time)
+        return self._stretches(messages, first.number - first.place, lost, is_about=True, is_restart=True)
+
+    def _stretches(
+        self, messages: list[_Message[R]], shift: int, lost: int, *, is_about: bool = False, is_restart: bool = False
+    ) -> list[Stretch[R]]:
+        self._waiting = []
+        out: list[Stretch[R]] = []
+        for i, each in enumerate(messages):
+            self._time = each.time
+            one = self._placed(np.array([each.place + shift]), each.row, each.host_ns)
+            out.append(
+                replace(one, lost=each.missing)
+                if i
+                else replace(one, lost=lost, is_about=is_about, is_restart=is_restart)
+            )
+        return out
+
+    def _placed(self, places: NDArray[np.int64], rows: R, host_ns: int) -> Stretch[R]:
+        self._place, self._stands_still = int(places[-1]), False
+        self._due.take(self._place * self._number_ns, host_ns)
+        return Stretch(places, rows, host_ns)
+
+    def _merged(self, parts: Sequence[Stretch[R]]) -> list[Stretch[R]]:
+        """Return the stretches with those of one read joined that follow one another."""
+        out: list[list[Stretch[R]]] = []
+        for part in parts:
+            if out and part.host_ns == out[-1][0].host_ns and not (part.lost or part.is_restart):
+                out[-1].append(part)
+            else:
+                out.append([part])
+        return [
+            replace(
+                group[0],
+                numbers=np.concatenate([each.numbers for each in group]),
+                rows=self._joined([each.rows for each in group]),
+            )
+            for group in out
+        ]
