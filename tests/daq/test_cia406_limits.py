@@ -132,11 +132,11 @@ def test_samples_and_marks_keep_their_order_if_the_host_s_clock_is_set_back() ->
     assert sequence == list(range(len(marks)))
 
 
-def test_reports_of_a_timer_that_arrive_together_are_a_nanosecond_apart() -> None:
+def test_reports_of_a_timer_that_arrive_together_keep_their_distance() -> None:
     pipeline = free()
     items = fed(pipeline, (S, RX, report(4, 7)), (S + MS, RX, report(3, 1)))
     items += fed(pipeline, (S + MS, RX, report(3, 2) + report(4, 7) + report(3, 3)))
-    assert times(items) == [S + MS, S + MS + 1, S + MS + 2]
+    assert np.diff(times(items)) == pytest.approx([PERIOD_NS] * 2, rel=0.1)
     assert column(items, "count_a") == [1, 2, 3]
 
 
@@ -330,10 +330,10 @@ def test_a_report_of_a_before_any_of_b_gives_no_sample() -> None:
 def test_reports_that_wait_come_at_the_end_of_the_log() -> None:
     pipeline = free()
     items = fed(pipeline, *((S + k * PERIOD_NS, RX, report(4, 5) + report(3, k)) for k in (0, 1, 2)))
-    late = fed(pipeline, (S + 5 * PERIOD_NS, RX, report(4, 5) + report(3, 5)))
+    late = fed(pipeline, *((S + k * PERIOD_NS, RX, report(4, 5) + report(3, k)) for k in (5, 6)))
     assert topics(late) == []
-    rest = fed(pipeline, (S + 5 * PERIOD_NS, RX, b""))
-    assert topics(rest) == ["gap", "gap", "pendulums"] or topics(rest) == ["gap", "pendulums", "gap"]
-    assert column(items + rest, "index") == [0, 1, 2, 5]
+    rest = fed(pipeline, (S + 6 * PERIOD_NS, RX, b""))
+    assert sorted(topics(rest)) == ["gap", "gap", "pendulums", "pendulums"]
+    assert column(items + rest, "index") == [0, 1, 2, 5, 6]
     assert pipeline.losses["samples"] == 2
     assert pipeline.losses["reports"] == 4

@@ -1,26 +1,26 @@
 """Samples without SYNC: each encoder sends by its own timer, at instants that differ between the encoders.
 
-A report has neither a number nor a time. Its time is that of the encoder's timer, which is followed by the earliest
-arrivals; missing reports are a pause of whole periods. A sample is a report of encoder A with the newest position of B,
+A report has neither a number nor a time. Its time is that of the encoder's timer, mapped to the common clock; missing
+reports are a pause of whole periods (daq.numbered). A sample is a report of encoder A with the newest position of B,
 which is up to one period older.
 """
 
 from __future__ import annotations
 
-from daq.drivers.cia406.reports import Instant
+import numpy as np
 
-_DRIFT = 1e-3  # largest rate error of an encoder's timer that is followed
-_TIMELY = 0.1  # of a period, by which a report after a pause of whole periods may come too early
-_WAIT_NS = 60_000_000  # time for which all reports must come late before the first of them has missing ones before it
+from daq.clock import ClockMap
+from daq.drivers.cia406.reports import Instant
+from daq.numbered.stream import Count, NumberedStream, Stretch, chained
+
+_TIMER_PPM = 200.0
+"""Standard uncertainty of an encoder's timer: it counts milliseconds by a crystal or a trimmed oscillator."""
 
 Values = tuple[int, ...]
 
 
 class OwnTimer:
-    """Times of one encoder's reports.
-
-    Reports that come late by a whole period or more wait. If a report in time follows, they were delayed on their way;
-    otherwise there are missing ones before them.
+    """Times of one encoder's reports, which are messages without a number.
 
     Args:
         period_ns: period of the encoder's timer, ns.
@@ -33,39 +33,26 @@ class OwnTimer:
     def __init__(self, period_ns: int, delay_ns: int) -> None:
         self.missing: int = 0
         self._period_ns, self._delay_ns = period_ns, delay_ns
-        self._number = -1
-        self._base_ns = 0.0  # time of report 0, by the earliest arrivals
-        self._waiting: list[tuple[Values, int, int]] = []  # values, host time, whole periods by which it is late
+        self._reports = NumberedStream[list[Values]](Count(1, period_ns), chained)
+        self._clock = ClockMap(_TIMER_PPM)
 
     def feed(self, values: Values, host_ns: int) -> list[tuple[Instant, Values]]:
         """Take a report; return the reports whose times are known now, with their values."""
-        if self._number < 0:
-            self._base_ns = float(host_ns)
-            return [self._take(values, host_ns, 0)]
-        due_ns = self._base_ns + (self._number + 1 + len(self._waiting)) * self._period_ns
-        late = int((host_ns - due_ns) / self._period_ns + _TIMELY)
-        if late <= 0:
-            return [*self._release(0), self._take(values, host_ns, 0)]
-        self._waiting.append((values, host_ns, late))
-        return self.end() if host_ns - self._waiting[0][1] >= _WAIT_NS else []
+        return self._timed(self._reports.feed(np.zeros(1, np.int64), [values], host_ns))
 
     def end(self) -> list[tuple[Instant, Values]]:
         """Return the reports that wait: no report in time follows them."""
-        return self._release(min((late for _, _, late in self._waiting), default=0))
+        return self._timed(self._reports.end())
 
-    def _release(self, missing: int) -> list[tuple[Instant, Values]]:
-        waiting, self._waiting = self._waiting, []
-        return [
-            self._take(values, host_ns, 0 if place else missing) for place, (values, host_ns, _) in enumerate(waiting)
-        ]
-
-    def _take(self, values: Values, host_ns: int, missing: int) -> tuple[Instant, Values]:
-        self.missing += missing
-        self._number += 1 + missing
-        own_ns = self._number * self._period_ns
-        drifted_ns = self._base_ns + _DRIFT * (1 + missing) * self._period_ns
-        self._base_ns = min(drifted_ns, float(host_ns - own_ns))
-        return Instant(self._number, round(self._base_ns) + own_ns - self._delay_ns, own_ns), values
+    def _timed(self, found: list[Stretch[list[Values]]]) -> list[tuple[Instant, Values]]:
+        out: list[tuple[Instant, Values]] = []
+        for stretch in found:
+            self.missing += stretch.lost
+            own_ns = stretch.numbers * self._period_ns
+            time_ns = self._clock.map(own_ns, stretch.host_ns) - self._delay_ns
+            for number, at_ns, its_ns, values in zip(stretch.numbers, time_ns, own_ns, stretch.rows, strict=True):
+                out.append((Instant(int(number), int(at_ns), int(its_ns)), values))
+        return out
 
 
 class NewestOfB:
