@@ -6,6 +6,7 @@
 # make platforms resolves the dependencies from wheels alone for Linux, Windows and macOS.
 # make wheel builds the wheel into out/dist and starts the command from it, outside this folder's environment.
 # make campaign checks the numbers and logs of a demo campaign, and runs the examples of README and docs on its files.
+# make commands carries out every command that the pages show, on the files of make demo.
 # After a change of a tutorial's code, make tutorials executes all of them again and keeps their outputs.
 # pre-commit calls make format and make layers at a commit, make types at a push (.pre-commit-config.yaml).
 # The uv that wrote uv.lock is used: the one on the PATH if it has that version, else pip puts it into .tools.
@@ -24,7 +25,7 @@ endif
 # compile the project anew, each time.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-thorough tutorials docs platforms wheel campaign setup format lint layers types duplicates clean
+.PHONY: demo test test-thorough tutorials docs platforms wheel campaign commands setup format lint layers types duplicates clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -59,6 +60,10 @@ wheel: | $(UV_FILE)
 
 campaign: setup
 	.ci/campaign
+
+commands: setup
+	test -d out/demo || $(UV) run --no-sync rig demo --out out/demo
+	$(UV) run --no-sync python -m tests.run_documented_commands
 
 format: setup
 	$(UV) run --no-sync ruff check --fix .

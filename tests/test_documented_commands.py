@@ -1,4 +1,6 @@
-"""Every `rig …` command that the pages show is accepted by the program's own command line; none is carried out.
+"""Every `rig …` command that the pages show is accepted by the program's own command line; none is carried out here.
+
+`tests.run_documented_commands` carries out those of blocks on the files of a demo; its judgement is tested here.
 
 A command in a block is complete. One within a sentence may lack arguments, or have a word in capitals in place of one.
 """
@@ -8,6 +10,8 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +30,7 @@ INLINE = re.compile(r"(?<!`)`(?:uv run (?:--no-sync )?)?(rig [a-z-][^`]*)`(?!`)"
 PLACEHOLDER = re.compile(r"\b[A-Z]+\b")
 LEFT_OUT = "…"
 NEW_IN_AN_EXAMPLE = "rig plot radius "  # the kind of plot that a how-to makes
+TRACEBACK = "Traceback (most recent call last):\n"
 
 
 def text_of(page: Path) -> str:
@@ -109,6 +114,48 @@ def test_a_command_that_is_refused_is_found() -> None:
     ]
     assert [bool(fault_of(each, True)) for each in in_blocks(text)] == [False, False, True, True]
     assert [bool(fault_of(each, False)) for each in in_sentences(text)] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("code", "interrupted", "text", "stated", "right"),
+    [
+        (0, False, "", 0, True),
+        (1, False, "", 0, False),
+        (3, False, "", 3, True),
+        (0, False, "", 3, False),
+        (130, True, "rig: interrupted", 0, True),
+        (0, True, "", 0, True),
+        (130, False, "rig: interrupted", 0, False),
+        (2, True, "", 0, False),
+        (70, True, "", 0, False),
+        (-11, True, "", 0, False),
+        (None, True, "", 0, False),
+        (0, False, TRACEBACK, 0, False),
+        (130, True, f"rig: interrupted\n{TRACEBACK}", 0, False),
+    ],
+)
+def test_the_end_of_a_command_is_judged(
+    code: int | None, interrupted: bool, text: str, stated: int, right: bool
+) -> None:
+    from tests.run_documented_commands import Ended, fault_of  # it imports this module
+
+    assert (fault_of(Ended(code, interrupted, text), {stated}) == "") is right
+
+
+def test_a_page_states_the_code_that_a_command_ends_with() -> None:
+    from tests.run_documented_commands import expected_of
+
+    assert expected_of("rig check my.toml   # exit 3") == {3}
+    assert expected_of("rig log run.mcap   # a verdict; exit 3 when one fails") == {0}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="groups of processes and a shell")
+def test_a_command_that_does_not_end_is_interrupted(tmp_path: Path) -> None:
+    from tests.run_documented_commands import Ended, Started
+
+    assert Started("expr 1 + 1 > kept", tmp_path).ended(60.0) == Ended(0, False, "")
+    assert (tmp_path / "kept").read_text() == "2\n"
+    assert Started("sleep 600", tmp_path).ended(0.1) == Ended(-signal.SIGINT, True, "")
 
 
 @pytest.mark.parametrize("command", ["rig virtual --rigg x", "rig parameters dif a b", "rig test my.toml a b c"])
