@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from daq.errors import DeviceError
@@ -50,44 +49,28 @@ _SETTLE_NS = 300_000_000  # time constant of a correction, short: the error of a
 def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple[float, float]:
     """Return the line below all points with the least sum of distances.
 
+    It is the edge of the lower convex hull at the mean device time.
+
     Args:
         device, lag: shape (n,), ascending device time, and host time minus device time in the same unit.
     Returns:
         Lag at device time 0 and slope.
     """
-    if len(device) == 1:
-        return float(lag[0]), 0.0
+    hull: list[tuple[float, float]] = []
+    for x, y in zip(device.tolist(), lag.tolist(), strict=True):
+        while len(hull) > 1 and _turn(hull[-2], hull[-1], (x, y)) <= 0:
+            hull.pop()
+        hull.append((x, y))
     middle = float(np.mean(device))
-    a, b = _edge(np.ascontiguousarray(device, np.float64), np.ascontiguousarray(lag, np.float64), middle)
-    slope = float((lag[b] - lag[a]) / (device[b] - device[a]))
-    return float(lag[a] - slope * device[a]), slope
+    last = next((i for i in range(1, len(hull) - 1) if hull[i][0] >= middle), len(hull) - 1)
+    (x0, y0), (x1, y1) = hull[max(0, last - 1)], hull[last]
+    slope = (y1 - y0) / (x1 - x0) if last else 0.0
+    return y0 - slope * x0, slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _edge(
-    device: NDArray[np.float64], lag: NDArray[np.float64], middle: float
-) -> tuple[int, int]:  # pragma: no cover - compiled
-    """Return the indices of the two points of the lower convex hull on either side of `middle`; n ≥ 2."""
-    hull, size = np.empty(len(device), np.int64), 0
-    for i in range(len(device)):
-        while size > 1:
-            a, b = hull[size - 2], hull[size - 1]
-            turn = (device[b] - device[a]) * (lag[i] - lag[a]) - (lag[b] - lag[a]) * (device[i] - device[a])
-            if turn > 0:
-                break
-            size -= 1
-        hull[size] = i
-        size += 1
-    k = 0
-    while k < size - 2 and device[hull[k + 1]] < middle:
-        k += 1
-    return hull[k], hull[k + 1]
-
-
-def compile_line() -> None:
-    """Compile `lower_line`, or load it from the cache, so that no read is delayed by the compilation."""
-    points = np.arange(3.0)
-    lower_line(points, points)
+def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Return a positive number if the way from a over b to c turns left."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 @dataclass(frozen=True)

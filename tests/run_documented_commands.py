@@ -2,9 +2,9 @@
 
     python -m tests.run_documented_commands [WORD]     # only pages with this word in their path
 
-`make commands` does so. Each page has a folder of its own with the files that it takes for granted. What does not end by
-itself (a server, a long study, a test that waits for a hand) is interrupted as by Ctrl-C. `rig devices` searches the
-ports of this machine.
+`make commands` does so. Each page has a folder of its own with the files that it takes for granted. What does not end
+by itself (a server, a long study, a test that waits for a hand) is interrupted as by Ctrl-C. `rig devices` searches
+the ports of this machine.
 """
 
 from __future__ import annotations
