@@ -16,7 +16,7 @@ def stable_states(physics: RotorParameters, speed_rad_s: float) -> list[SteadySt
 
     Raises:
         DynamicsError: as `dynamics.steady_states`, at the lowest accuracy.
-        LinAlgError: as numpy.linalg.
+        numpy.linalg.LinAlgError: a linear system has no solution.
     """
     for accuracy in _ACCURACIES[:-1]:
         try:

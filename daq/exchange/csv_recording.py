@@ -21,7 +21,7 @@ _LONGEST_SHOWN = 40
 
 
 class CsvRecording:
-    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows and keeps only the requested columns.
+    """See daq.exchange.columns.ColumnFile. Reads the file in blocks of rows and keeps only the requested columns.
 
     A last line without a line end was cut while it was written, perhaps within a number: it is left out.
     """
@@ -35,7 +35,7 @@ class CsvRecording:
         self.others: Mapping[str, str] = {}
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See Recording."""
+        """See ColumnFile."""
         wanted = {name: self.names.index(name) for name in names}
         parts = {name: _Parts() for name in wanted}
         lines: list[NDArray[np.int64]] = []

@@ -31,7 +31,7 @@ _FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32,
 
 
 class MatRecording:
-    """See daq.exchange.recordings.Recording; versions 4, 5 and 7."""
+    """See daq.exchange.columns.ColumnFile; versions 4, 5 and 7."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -56,7 +56,7 @@ class MatRecording:
         self.names: tuple[str, ...] = tuple(self._columns)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See Recording."""
+        """See ColumnFile."""
         return {name: as_column(f"{self.path}: {name}", self._columns[name]) for name in names}
 
     def _collect(self, name: str, value: Any) -> None:
@@ -70,7 +70,7 @@ class MatRecording:
 
 
 class Hdf5Recording:
-    """See daq.exchange.recordings.Recording; groups are written with dots."""
+    """See daq.exchange.columns.ColumnFile; groups are written with dots."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -88,7 +88,7 @@ class Hdf5Recording:
         self.names: tuple[str, ...] = tuple(self._places)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See Recording."""
+        """See ColumnFile."""
         columns: dict[str, Column] = {}
         try:
             with h5py.File(self.path, "r") as file:

@@ -21,7 +21,7 @@ pq: Any = pyarrow.parquet
 
 
 class ParquetRecording:
-    """See daq.exchange.recordings.Recording; nulls are absent."""
+    """See daq.exchange.columns.ColumnFile; nulls are absent."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -36,7 +36,7 @@ class ParquetRecording:
         self.names: tuple[str, ...] = tuple(self._schema.names)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See Recording."""
+        """See ColumnFile."""
         wanted = list(names)
         for name in wanted:
             self._need_numbers(name)

@@ -22,7 +22,7 @@ _ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
 
 
 class Procedures:
-    """Runs guided tests; for the other arguments see Orders.
+    """Runs guided tests; for the other arguments see daq.guided_tests.orders.RigOrders.
 
     Args:
         controls: passes the requests of the operator; a new object if None.
@@ -66,7 +66,7 @@ class Procedures:
             numbers: numbers that replace the defaults, by name.
 
         Raises:
-            Refused: the rig cannot run the requested test. The rotor was not turned.
+            GuidedTestRefused: the rig cannot run the requested test. The rotor was not turned.
             NotReached: the test ended before its log began.
             AcquisitionError: an interlock or a device ended the test.
         """

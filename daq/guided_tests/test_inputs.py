@@ -95,7 +95,7 @@ def requested_test(rig: Rig, test: str, given: Mapping[str, float] | None = None
         point: name of a point; empty without one.
 
     Raises:
-        Refused: the rig has no such test, does not measure its signals, or a number is invalid.
+        GuidedTestRefused: the rig has no such test, does not measure its signals, or a number is invalid.
     """
     kind = KINDS.get(test) if point else kinds.kind_of(test)
     named = kind is not None and kind.point == "named"

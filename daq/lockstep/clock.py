@@ -76,7 +76,7 @@ class SimulatedClock(HostClock):
             ready: evaluated after each action; the method returns when it is true.
 
         Raises:
-            WaitedInVain: the method was called by an action.
+            WaitNeverEnds: the method was called by an action.
         """
         if self._doing:
             raise WaitNeverEnds("an action of the simulated clock waits: expected an action that returns at once")

@@ -69,7 +69,7 @@ class Rehearsal:
             Result with `log`, `missed` and `warnings`.
 
         Raises:
-            Refused: the rig cannot run the requested test.
+            GuidedTestRefused: the rig cannot run the requested test.
             NotReached: the test ended before its log began.
             AcquisitionError: an interlock or a device ended the test.
         """

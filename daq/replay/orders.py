@@ -101,7 +101,7 @@ def report_hand_orders(notify: Callable[[float], None], run: Mapping[str, str], 
     """Report the orders in a log whose rotor is turned by hand.
 
     Args:
-        notify: see Orders.
+        notify: see daq.guided_tests.orders.RigOrders.
         run: facts of the log: its test, and the speed if it has one.
         limit_rpm: used for a speed that is not in the log; only its presence matters.
     """
