@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from daq.acquisition.exceedance import compile_look
 from daq.clock import compile_line
-from daq.mcap.writer import compile_writer
 from daq.signals.normal_equations import compile_solve
 
 
 def compile_acquisition() -> None:
-    """Compile, or load from the cache, the loops of clock maps, interlocks, log and looks of guided tests."""
+    """Compile, or load from the cache, the loops of clock maps, interlocks and looks of guided tests."""
     compile_look()
     compile_line()
-    compile_writer()
     compile_solve()

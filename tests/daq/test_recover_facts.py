@@ -15,8 +15,8 @@ from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
 from daq.mcap.records import AttachmentPlace, DamageError
 from daq.mcap.writer import LIBRARY, MAGIC
-from tests.daq.test_mcap_scan import attachment
-from tests.daq.test_mcap_walk import (
+from tests.daq.mcap.test_scan import attachment
+from tests.daq.mcap.test_walk import (
     FRONT,
     INNER,
     LOOSE,
