@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Contents:
         definitions: schemas and channels by id.
         counts: number of messages by channel id.
         span_ns: first and last log time; zeros for a file without messages.
-        metadata: texts by name of record.
+        metadata_records: name and texts of each metadata record, in file order.
         attachments: positions of the attachments; not verified if `indexed`.
         missing: missing and damaged parts.
         unchecked: parts for which another writer stored no CRC.
@@ -38,17 +39,22 @@ class Contents:
     definitions: Definitions
     counts: dict[int, int]
     span_ns: tuple[int, int]
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    metadata_records: list[tuple[str, dict[str, str]]] = field(default_factory=list[tuple[str, dict[str, str]]])
     attachments: list[AttachmentPlace] = field(default_factory=list[AttachmentPlace])
     missing: list[Missing] = field(default_factory=list[Missing])
     unchecked: list[Missing] = field(default_factory=list[Missing])
+
+    @cached_property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Texts by name of record; of several records of a name the last one."""
+        return dict(self.metadata_records)
 
 
 def from_summary(file: FileBytes, header: Header, summary: FileSummary) -> Contents:
     """Return the contents according to an intact summary; no chunk and no attachment is read."""
     statistics = summary.statistics
-    counts = {channel: n for channel, n in statistics.channel_message_counts.items() if n} if statistics else {}
-    span = (statistics.message_start_time, statistics.message_end_time) if statistics and counts else (0, 0)
+    counts = {channel: n for channel, n in statistics.channel_message_counts.items() if n}
+    span = (statistics.message_start_time, statistics.message_end_time) if counts else (0, 0)
     contents = Contents(header, summary.table, True, summary.definitions, counts, span)
     contents.attachments = [AttachmentPlace(index.offset, index.length, index.name) for index in summary.attachments]
     for index in summary.metadata:
@@ -56,13 +62,21 @@ def from_summary(file: FileBytes, header: Header, summary: FileSummary) -> Conte
             name, texts = read_metadata(file, index.offset, header.ours)
             if name != index.name:
                 raise DamageError(f"metadata {name[:80]!r} where {index.name[:80]!r} was expected")
-            contents.metadata[name] = texts
+            contents.metadata_records.append((name, texts))
         except DamageError as damage:
             end = index.offset + index.length
             text = f"{damage}: metadata {index.name[:80]!r} was left out"
             contents.missing.append(Missing(text, index.offset, end, messages=0))
-    contents.table = bounded(summary.table, contents.metadata.pop(TIMES, {}))
+    for record in contents.metadata_records:
+        if is_times(record):
+            contents.table = bounded(summary.table, record[1])
+    contents.metadata_records = [record for record in contents.metadata_records if not is_times(record)]
     return contents
+
+
+def is_times(record: tuple[str, dict[str, str]]) -> bool:
+    """Return True for the metadata record that contains the extreme delays of the samples."""
+    return record[0] == TIMES and record[1].keys() == {"most_late_ns", "most_early_ns"}
 
 
 def bounded(table: ChunkTable, times: Mapping[str, str]) -> ChunkTable:

@@ -103,7 +103,7 @@ def test_facts_of_the_old_log_keep_their_texts(tmp_path: Path) -> None:
     )
     found = recover(made(tmp_path, facts, GOOD))
     contents = walk(FileBytes(found.path))
-    assert contents.metadata["run"] == {"crc32 of origin": "mine", "a": "b"}
+    assert contents.metadata["run"] == {"crc32": "mine", "a": "b"}
     assert contents.metadata["recovered earlier"] == {"c": "d"}
     assert contents.metadata["summary"] == {"e": "f"}
     assert contents.metadata["recovered"]["origin"] == "old.mcap"
