@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
+from daq.mcap.blocks import fields
 from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES
 from daq.mcap.records import DamageError
-from daq.mcap.scan import Messages, fields, split_chunk
+from daq.mcap.scan import Messages, split_chunk
 from daq.mcap.writer import MESSAGE_HEAD
 from rig_basics.texts import number_of
 

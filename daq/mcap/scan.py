@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import struct
-from array import array
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from daq.mcap.blocks import Runs, fields, times
 from daq.mcap.records import RECORD_HEAD, DamageError
 from daq.mcap.writer import MESSAGE_HEAD
 
 _EIGHT = struct.Struct("<Q")
-
-
-def fields(data: bytes | memoryview, offsets: NDArray[np.int64], dtype: str) -> NDArray[Any]:
-    """Return one field of several records: the values of type `dtype` at byte `offsets`, all within `data`."""
-    size = np.dtype(dtype).itemsize
-    return np.ndarray(max(0, len(data) - size + 1), dtype, data, 0, (1,))[offsets]
 
 
 def record_places(data: bytes | memoryview) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
@@ -31,7 +24,7 @@ def record_places(data: bytes | memoryview) -> tuple[NDArray[np.int64], NDArray[
     Returns:
         Offset and size of each, (n,), bytes, including opcode and length; and the offset of the rest.
     """
-    runs, position, size = array("q"), 0, len(data)
+    runs, position, size = Runs(), 0, len(data)
     while size - position >= RECORD_HEAD.size:
         length = _EIGHT.unpack_from(data, position + 1)[0]
         end = position + RECORD_HEAD.size + length
@@ -40,14 +33,9 @@ def record_places(data: bytes | memoryview) -> tuple[NDArray[np.int64], NDArray[
         count = 1
         if length >= 2 and data[end : end + 11] == data[position : position + 11]:
             count = _alike(data, position, end - position)
-        runs.extend((position, count, end - position))
+        runs.add(position, count, end - position)
         position += count * (end - position)
-    table = np.frombuffer(runs, np.int64).reshape(-1, 3)
-    counts = table[:, 1]
-    sizes = np.repeat(table[:, 2], counts)
-    offsets = np.arange(len(sizes))
-    offsets *= sizes
-    offsets += np.repeat(table[:, 0] - table[:, 2] * (np.cumsum(counts) - counts), counts)
+    offsets, sizes, _ = runs.places()
     return offsets, sizes, position
 
 
@@ -114,10 +102,7 @@ class Messages:
 
 def messages_at(data: bytes | memoryview, offsets: NDArray[np.int64], ends: NDArray[np.int64]) -> Messages:
     """Return the messages whose records are at `offsets`."""
-    log_ns, publish_ns = (
-        np.ascontiguousarray(column) for column in fields(data, offsets + 15, "V16").view("<u8").reshape(-1, 2).T
-    )
-    return Messages(data, offsets, ends, fields(data, offsets + 9, "<u2"), log_ns, publish_ns)
+    return Messages(data, offsets, ends, fields(data, offsets + 9, "<u2"), *times(data, offsets))
 
 
 def split_chunk(data: bytes | memoryview) -> tuple[Messages, list[tuple[int, bytes]]]:

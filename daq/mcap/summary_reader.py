@@ -15,11 +15,12 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.errors import LogError
+from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
 from daq.mcap.chunks import EVER_NS, INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, parse
-from daq.mcap.scan import fields, record_places
+from daq.mcap.scan import record_places
 from daq.mcap.writer import MAGIC, MESSAGE_HEAD
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20

@@ -13,6 +13,7 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from daq.errors import LogError
+from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
 from daq.mcap.chunks import CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import FileDamage, Held, Place
@@ -27,7 +28,7 @@ from daq.mcap.records import (
     check_metadata,
     parse,
 )
-from daq.mcap.scan import Messages, fields, record_places
+from daq.mcap.scan import Messages, record_places
 from daq.mcap.table import TableBuilder, TakenChunk
 from daq.mcap.window import Window, indexes_behind
 from daq.mcap.writer import MAGIC, MESSAGE_HEAD, METADATA_CRC

@@ -21,6 +21,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
 
+from daq.mcap.blocks import Runs, times
 from daq.mcap.checksum import crc32
 from rig_basics.texts import number_of, storable
 
@@ -113,7 +114,7 @@ class BlockWriter:
         self._closed = ""  # reason why nothing can be written any more
         self._parts: list[bytes] = []  # records of the open chunk
         self._size = 0
-        self._runs: list[tuple[int, int, int, int]] = []  # offset, number, size, channel of equally long messages in it
+        self._messages = Runs()  # among them
         self._is_filled = False  # repeated definitions alone do not make a chunk
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
@@ -193,7 +194,7 @@ class BlockWriter:
         count, size = len(messages), MESSAGE_HEAD.size + messages.dtype.itemsize
         log, publish = _column("log times", log_time_ns, count), _column("publish times", publish_time_ns, count)
         numbers = _column("sequences", sequence, count)
-        least = min(int(np.minimum.reduce(times, None, initial=0)) for times in (log, publish))
+        least = min(of.item() if of.size == 1 else int(of.min(initial=0)) for of in (log, publish))
         if least < 0:
             raise ValueError(f"expected log and publish times in ns since 1970, got {least}")
         block = self._blocks.get(channel_id)
@@ -205,7 +206,7 @@ class BlockWriter:
             rows = min(max(1, (self._chunk_bytes - self._size) // size), count - done)
             part = slice(done, done + rows)
             columns = [column if column.size == 1 else column[part] for column in (log, publish, numbers)]
-            self._runs.append((self._size, rows, size, channel_id))
+            self._messages.add(self._size, rows, size, channel_id)
             self._add(block.filled(rows, columns, messages[part]))
             done += rows
 
@@ -221,7 +222,7 @@ class BlockWriter:
         size = MESSAGE_HEAD.size + len(data)
         self._make_room(size)
         fields = channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns
-        self._runs.append((self._size, 1, size, channel_id))
+        self._messages.add(self._size, 1, size, channel_id)
         self._add(MESSAGE_HEAD.pack(Opcode.MESSAGE, size - 9, *fields) + data)
 
     def copy_chunk(self, chunk: CopiedChunk) -> None:
@@ -370,8 +371,9 @@ class BlockWriter:
             return
         data = b"".join(self._parts)
         packed, name = (self._compressor.compress(data), "zstd") if self._compressor else (data, "")
-        self._put_chunk(packed, name, len(data), crc32(data), _messages_of(data, self._runs))
-        self._parts, self._size, self._runs = [], 0, []
+        offsets, _, ids = self._messages.places()
+        self._put_chunk(packed, name, len(data), crc32(data), (ids, *times(data, offsets), offsets))
+        self._parts, self._size, self._messages = [], 0, Runs()
         if len(self._chunk_indexes) % RESTATE_EVERY == 0:
             self._add(b"".join(map(encode_record, self._schemas.values())))
             self._add(b"".join(map(encode_record, self._channels.values())))
@@ -415,23 +417,8 @@ class BlockWriter:
         self._crc = crc32(data, self._crc)
 
 
-def _messages_of(
-    chunk: bytes, runs: list[tuple[int, int, int, int]]
-) -> tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]:
-    """Return channel ids, log times, publish times and offsets of the n messages in a chunk's runs, (n,) each."""
-    table = np.array(runs, np.int64).reshape(-1, 4)
-    counts, sizes = table[:, 1], table[:, 2]
-    log, publish = (
-        np.concatenate([np.empty(0, "<u8"), *(np.ndarray(n, "<u8", chunk, at + k, (size,)) for at, n, size, _ in runs)])
-        for k in (15, 23)
-    )
-    before = np.repeat(table[:, 0] - sizes * (np.cumsum(counts) - counts), counts)
-    places = before + np.arange(len(log)) * np.repeat(sizes, counts)
-    return np.repeat(table[:, 3], counts).astype(np.uint16), log, publish, places.astype(np.uint64)
-
-
 def _message_indexes(
-    ids: NDArray[np.uint16], log: NDArray[np.uint64], places: NDArray[np.uint64], counts: dict[int, int]
+    ids: NDArray[Any], log: NDArray[np.uint64], places: NDArray[Any], counts: dict[int, int]
 ) -> tuple[bytes, dict[int, int]]:
     """Return the message index records of a chunk, one per channel, entries in order of log time; add to `counts`.
 
@@ -481,7 +468,7 @@ def _column(what: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
     Raises:
         ValueError: another shape, or values that are not integers.
     """
-    array = np.asarray(values)
+    array: NDArray[Any] = np.asarray(values)
     if array.dtype.kind not in "iu" or array.shape not in ((), (1,), (count,)):
         raise ValueError(f"expected {what} as one integer or {count}, got {array.dtype} of shape {array.shape}")
     return array.astype(np.int64, copy=False)
