@@ -147,24 +147,26 @@ def indexes_behind(
     Raises:
         DamageError: a message index contradicts itself.
     """
-    counts, times, fits = dict[int, int](), list[NDArray[np.uint64]](), True
+    counts, parts, channel_ids = dict[int, int](), [np.empty((0, 2), np.uint64)], [0]
     while position < window.file.size:
         try:
             opcode, end = window.head(position)
             if opcode != Opcode.MESSAGE_INDEX:
                 break
-            channel_id, entries = _message_index(bytes(window.view(position + RECORD_HEAD.size, end)))
+            channel_id, part = _message_index(bytes(window.view(position + RECORD_HEAD.size, end)))
         except DamageError:
             if counts:
                 break
             raise
-        counts[channel_id] = counts.get(channel_id, 0) + len(entries)
-        times.append(entries[:, 0])
-        fits = fits and (messages is None or _fits(channel_id, entries, messages))
+        counts[channel_id] = counts.get(channel_id, 0) + len(part)
+        parts.append(part)
+        channel_ids.append(channel_id)
         position = end
-    log_ns = np.concatenate(times) if times else np.empty(0, np.uint64)
-    known = len(log_ns) > 0 and log_ns.max() <= EVER_NS  # no CRC covers an index
-    return position, counts, (int(log_ns.min()), int(log_ns.max())) if known else None, fits
+    entries = np.concatenate(parts)
+    log_ns = entries[:, 0]
+    span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) and log_ns.max() <= EVER_NS else None  # has no CRC
+    ids = np.repeat(channel_ids, [len(part) for part in parts])
+    return position, counts, span, messages is None or _fits(ids, entries, messages)
 
 
 def _message_index(body: bytes) -> tuple[int, NDArray[np.uint64]]:
@@ -175,10 +177,10 @@ def _message_index(body: bytes) -> tuple[int, NDArray[np.uint64]]:
     return int.from_bytes(body[:2], "little"), np.frombuffer(body, "<u8", size // 8, 6).reshape(-1, 2)
 
 
-def _fits(channel_id: int, entries: NDArray[np.uint64], messages: Messages) -> bool:
+def _fits(channel_ids: NDArray[np.int64], entries: NDArray[np.uint64], messages: Messages) -> bool:
     """Return True if every entry is a message of the chunk."""
     rows = np.searchsorted(messages.offsets, entries[:, 1].astype(np.int64))
     if (rows >= len(messages)).any():
         return False
     same = (messages.offsets[rows] == entries[:, 1]) & (messages.log_ns[rows] == entries[:, 0])
-    return bool((same & (messages.channel_ids[rows] == channel_id)).all())
+    return bool((same & (messages.channel_ids[rows] == channel_ids)).all())
