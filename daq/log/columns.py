@@ -74,7 +74,7 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
         for chunk, data, behind in source.each(chunks):
             reading.take(chunk, data, behind, expected[chunk])
         return reading.columns()
-    except _OtherLayoutError:
+    except _OtherLayoutError:  # usual: a file of another writer
         found = [find_messages(source, chunk, data, ids, expected[chunk]) for chunk, data, _ in source.each(chunks)]
     log_ns = np.concatenate([np.empty(0, np.uint64), *(part.log_ns for part in found)])
     publish_ns = np.concatenate([np.empty(0, np.uint64), *(part.publish_ns for part in found)])

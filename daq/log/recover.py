@@ -163,11 +163,10 @@ def _definitions(source: LogSource) -> tuple[list[records.Schema], list[records.
 
 
 def _copy_metadata(source: LogSource, writer: BlockWriter) -> None:
-    """Copy the intact metadata; those of another writer get no checksum of ours."""
-    ours = source.contents.header.ours
-    for name, texts in source.contents.metadata_records:
-        if not ours or name != "summary":
-            writer.add_metadata(_EARLIER if name == RECOVERED else name, texts, checksum=ours)
+    """Copy the intact metadata; those without a checksum of ours get none."""
+    for name, texts, has_crc in source.contents.facts:
+        if not source.contents.header.ours or name != "summary":
+            writer.add_metadata(_EARLIER if name == RECOVERED else name, texts, has_crc)
 
 
 def _copy_attachments(source: LogSource, writer: BlockWriter) -> None:

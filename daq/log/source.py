@@ -106,7 +106,7 @@ class LogSource:
                 yield from self._read(group, keep)
             return
         ahead: deque[Future[list[tuple[int, bytes, memoryview]]]] = deque()
-        with ThreadPoolExecutor(_THREADS) as pool:  # reading, decompression and CRC run beside the caller
+        with ThreadPoolExecutor(_THREADS) as pool:  # reading, decompression and CRC run in parallel
             for group in groups:
                 ahead.append(pool.submit(self._read_all, group, keep))
                 if len(ahead) > _THREADS:

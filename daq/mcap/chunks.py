@@ -113,7 +113,7 @@ def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
     if zstandard.frame_content_size(packed) == unpacked > 0:  # the usual case, in half the time
         try:
             return _per_thread.decompressor.decompress(packed, allow_extra_data=False)
-        except zstandard.ZstdError:  # more frames follow, or the data is damaged
+        except zstandard.ZstdError:  # usual: more frames follow, or the data is damaged
             pass
     with _per_thread.decompressor.stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(unpacked + 1)
@@ -199,7 +199,7 @@ class ChunkTable:
         return sums[self.first_entry[chunks + 1] - begin] - sums[self.first_entry[chunks] - begin]
 
     def end_of_indexes(self, chunk: int, file_size: int) -> int:
-        """Return a position in the file before which the message indexes of a chunk end, if the table knows them."""
+        """Return a position in the file before which the message indexes of a chunk end, as far as the table lists them."""
         first, last = int(self.first_entry[chunk]), int(self.first_entry[chunk + 1])
         end = int(self.start[chunk] + self.length[chunk])
         if first < last and self.index_at[last - 1] >= 0:

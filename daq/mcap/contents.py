@@ -11,7 +11,7 @@ import numpy as np
 from daq.mcap.chunks import ChunkTable
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.missing import Missing
-from daq.mcap.records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
+from daq.mcap.records import AttachmentPlace, DamageError, Definitions, Facts, Header, read_metadata
 from daq.mcap.summary_reader import FileSummary
 from daq.mcap.writer import TIMES
 
@@ -27,7 +27,7 @@ class Contents:
         definitions: schemas and channels by id.
         counts: number of messages by channel id.
         span_ns: first and last log time; zeros for a file without messages.
-        metadata_records: name and texts of each metadata record, in file order.
+        facts: the metadata records, in file order.
         attachments: positions of the attachments; not verified if `indexed`.
         missing: missing and damaged parts.
         unchecked: parts for which another writer stored no CRC.
@@ -39,7 +39,7 @@ class Contents:
     definitions: Definitions
     counts: dict[int, int]
     span_ns: tuple[int, int]
-    metadata_records: list[tuple[str, dict[str, str]]] = field(default_factory=list[tuple[str, dict[str, str]]])
+    facts: list[Facts] = field(default_factory=list[Facts])
     attachments: list[AttachmentPlace] = field(default_factory=list[AttachmentPlace])
     missing: list[Missing] = field(default_factory=list[Missing])
     unchecked: list[Missing] = field(default_factory=list[Missing])
@@ -47,7 +47,7 @@ class Contents:
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
         """Texts by name of record; of several records of a name the last one."""
-        return dict(self.metadata_records)
+        return {record.name: record.texts for record in self.facts}
 
 
 def from_summary(file: FileBytes, header: Header, summary: FileSummary) -> Contents:
@@ -59,24 +59,24 @@ def from_summary(file: FileBytes, header: Header, summary: FileSummary) -> Conte
     contents.attachments = [AttachmentPlace(index.offset, index.length, index.name) for index in summary.attachments]
     for index in summary.metadata:
         try:
-            name, texts = read_metadata(file, index.offset, header.ours)
-            if name != index.name:
-                raise DamageError(f"metadata {name[:80]!r} where {index.name[:80]!r} was expected")
-            contents.metadata_records.append((name, texts))
+            record = read_metadata(file, index.offset, header.ours)
+            if record.name != index.name:
+                raise DamageError(f"metadata {record.name[:80]!r} where {index.name[:80]!r} was expected")
+            contents.facts.append(record)
         except DamageError as damage:
             end = index.offset + index.length
             text = f"{damage}: metadata {index.name[:80]!r} was left out"
             contents.missing.append(Missing(text, index.offset, end, messages=0))
-    for record in contents.metadata_records:
+    for record in contents.facts:
         if is_times(record):
-            contents.table = bounded(summary.table, record[1])
-    contents.metadata_records = [record for record in contents.metadata_records if not is_times(record)]
+            contents.table = bounded(summary.table, record.texts)
+    contents.facts = [record for record in contents.facts if not is_times(record)]
     return contents
 
 
-def is_times(record: tuple[str, dict[str, str]]) -> bool:
+def is_times(record: Facts) -> bool:
     """Return True for the metadata record that contains the extreme delays of the samples."""
-    return record[0] == TIMES and record[1].keys() == {"most_late_ns", "most_early_ns"}
+    return record.name == TIMES and record.texts.keys() == {"most_late_ns", "most_early_ns"}
 
 
 def bounded(table: ChunkTable, times: Mapping[str, str]) -> ChunkTable:

@@ -108,7 +108,7 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         done.definitions,
         table.totals(),
         table.span(),
-        [record for record in done.metadata if not is_times(record)],  # the table contains the times themselves
+        [record for record in done.facts if not is_times(record)],  # the table contains the times themselves
         done.attachments,
     )
     contents.missing = _missing(done, summary, contents)
@@ -141,7 +141,7 @@ def _use_summary(done: Walk, summary: FileSummary) -> None:
     """Add what only the summary locates, because it is in a damaged range, and compare the summary with the rest."""
     done.definitions.fill_up(summary.definitions)
     found = from_summary(done.file, done.header, summary)
-    done.metadata = found.metadata_records  # the index contains the names, which no CRC of the records covers
+    done.facts = found.facts  # the index contains the names, which no CRC of the records covers
     for place in found.missing:
         done.damage.note(place.byte_start or 0, place.byte_end or 0, place.text, len(done.table))
     starts_found = {place.start for place in done.attachments}

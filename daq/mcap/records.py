@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -132,8 +132,16 @@ class Definitions:
         self.channels = others.channels | self.channels
 
 
-def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
-    """Return name and texts of a metadata record, without this package's CRC.
+class Facts(NamedTuple):
+    """A metadata record: its name, its texts without this package's CRC, and whether it has one."""
+
+    name: str
+    texts: dict[str, str]
+    has_crc: bool
+
+
+def check_metadata(body: bytes, ours: bool) -> Facts:
+    """Return the facts of a metadata record.
 
     Raises:
         DamageError: the record cannot be parsed, or its CRC is wrong or missing.
@@ -142,14 +150,16 @@ def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
     texts = dict(metadata.metadata)
     crc = texts.pop(METADATA_CRC, None)
     if not ours and (crc is None or not re.fullmatch("[0-9a-f]{8}", crc) or crc != metadata_crc(metadata.name, texts)):
-        return metadata.name, dict(metadata.metadata)  # of another writer, which may use this key for anything
+        return Facts(
+            metadata.name, dict(metadata.metadata), False
+        )  # of another writer, which may use this key for anything
     if crc != metadata_crc(metadata.name, texts):
         raise DamageError(f"metadata {metadata.name[:80]!r} whose CRC is wrong")
-    return metadata.name, texts
+    return Facts(metadata.name, texts, True)
 
 
-def read_metadata(file: FileBytes, start: int, ours: bool) -> tuple[str, dict[str, str]]:
-    """Return name and texts of the metadata record at byte `start`.
+def read_metadata(file: FileBytes, start: int, ours: bool) -> Facts:
+    """Return the facts of the metadata record at byte `start`.
 
     Raises:
         DamageError: there is another record, it cannot be parsed, or its CRC is wrong or missing.

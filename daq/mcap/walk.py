@@ -23,6 +23,7 @@ from daq.mcap.records import (
     AttachmentPlace,
     DamageError,
     Definitions,
+    Facts,
     Header,
     check_attachment,
     check_metadata,
@@ -31,7 +32,7 @@ from daq.mcap.records import (
 from daq.mcap.scan import Messages, record_places
 from daq.mcap.table import TableBuilder, TakenChunk
 from daq.mcap.window import Window, indexes_behind
-from daq.mcap.writer import MAGIC, MESSAGE_HEAD, METADATA_CRC
+from daq.mcap.writer import MAGIC, MESSAGE_HEAD
 from rig_basics.texts import number_of
 
 _METADATA_LIMIT_BYTES = 64 * 2**20
@@ -63,7 +64,7 @@ class Walk:
     Attributes:
         table: intact chunks.
         damage: damaged places.
-        definitions, metadata, attachments: other intact contents.
+        definitions, facts, attachments: other intact contents.
         finished: True if the file has its end.
         position: end of the walk, bytes.
         announced: number of messages according to an intact summary, None without one.
@@ -87,7 +88,7 @@ class Walk:
         self.damage: FileDamage = FileDamage()
         self.definitions: Definitions = Definitions()
         self.table: TableBuilder = TableBuilder(self.definitions)
-        self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.facts: list[Facts] = []
         self.attachments: list[AttachmentPlace] = []
         self.loose: list[tuple[int, int]] = []
         self.no_crc: dict[str, int] = {}
@@ -294,8 +295,8 @@ class Walk:
         if end - position > _METADATA_LIMIT_BYTES:
             raise DamageError(f"metadata of {number_of(end - position, 'byte')}")
         body = bytes(self.window.view(position + RECORD_HEAD.size, end))
-        self.metadata.append(check_metadata(body, self.header.ours))
-        self._count_without_crc("metadata record", METADATA_CRC in body.decode("latin-1"))
+        self.facts.append(check_metadata(body, self.header.ours))
+        self._count_without_crc("metadata record", self.facts[-1].has_crc)
 
     def _count_without_crc(self, what: str, crc: int) -> None:
         if not crc:

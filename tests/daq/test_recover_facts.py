@@ -110,6 +110,14 @@ def test_facts_of_the_old_log_keep_their_texts(tmp_path: Path) -> None:
     assert contents.missing == []
 
 
+def test_facts_keep_their_checksum_if_the_header_is_lost(tmp_path: Path) -> None:
+    part = tmp_path / "a.mcap"
+    part.write_bytes(MAGIC + metadata("run", {"a": "b"}, ours=True) + metadata("note", {"c": "d"}))
+    with open_log(recover(part).path) as new:
+        assert new.metadata["run"] == {"a": "b"}
+        assert ["1 metadata record without a CRC" in str(place) for place in new.verify()] == [True]
+
+
 def test_an_attachment_that_is_not_read_as_before_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def other(file: FileBytes, place: AttachmentPlace, ours: bool) -> None:
         raise DamageError("attachment 'a.json' whose CRC is wrong")

@@ -155,15 +155,15 @@ def metadata(**texts: str) -> bytes:
 def test_metadata_of_other_writers_may_use_the_key_of_our_checksum() -> None:
     crc = metadata_crc("facts", {"a": "b"})
     for ours in (True, False):
-        assert check_metadata(metadata(a="b", crc32=crc), ours) == ("facts", {"a": "b"})
+        assert check_metadata(metadata(a="b", crc32=crc), ours) == ("facts", {"a": "b"}, True)
     for other in (
         metadata(a="b"),
         metadata(a="b", crc32="1234"),
         metadata(a="c", crc32=crc),
         metadata(crc32="ABCDEF01"),
     ):
-        name, texts = check_metadata(other, False)
-        assert name == "facts"
+        name, texts, has_crc = check_metadata(other, False)
+        assert (name, has_crc) == ("facts", False)
         assert len(texts) == other.count(b"crc32") + other.count(b"a\x01")
         with pytest.raises(DamageError, match="CRC is wrong"):
             check_metadata(other, True)
