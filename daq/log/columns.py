@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.blocks import fields
-from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES
+from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, ChunkTable
 from daq.mcap.records import DamageError
 from daq.mcap.scan import Messages, split_chunk
 from daq.mcap.writer import MESSAGE_HEAD
@@ -69,10 +69,11 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
     chunks, counts = chunks[counts > 0], counts[counts > 0]
     ids = np.array(channel_ids, np.int64)
     expected = dict(zip(chunks.tolist(), counts.tolist(), strict=True))
+    index_at = dict(zip(chunks.tolist(), _index_places(source.contents.table, chunks, channel_ids), strict=True))
     reading = _Reading(source, ids, layout, int(counts.sum()))
     try:
         for chunk, data, behind in source.each(chunks):
-            reading.take(chunk, data, behind, expected[chunk])
+            reading.take(chunk, data, behind, expected[chunk], index_at[chunk])
         return reading.columns()
     except _OtherLayoutError:  # usual: a file of another writer
         found = [find_messages(source, chunk, data, ids, expected[chunk]) for chunk, data, _ in source.each(chunks)]
@@ -81,6 +82,15 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
     sequence = np.concatenate([np.empty(0, np.uint32), *(part.sequences for part in found)])
     values = layout.unpack_any(part.payload(row) for part in found for row in range(len(part)))
     return Columns(log_ns.view(np.int64), publish_ns.view(np.int64), sequence, values)
+
+
+def _index_places(table: ChunkTable, chunks: NDArray[np.intp], channel_ids: list[int]) -> list[int]:
+    """Return the offset of the channel's index entries from the end of each chunk; negative if there is no index."""
+    entries = np.flatnonzero(table.channel == channel_ids[0])
+    if len(channel_ids) > 1 or not len(chunks):
+        return [-1] * len(chunks)
+    at = table.index_at[entries[np.searchsorted(entries, table.first_entry[chunks])]]
+    return np.where(at < 0, -1, at - table.start[chunks] - table.length[chunks] + MESSAGE_INDEX_BYTES).tolist()
 
 
 class _OtherLayoutError(Exception):
@@ -106,8 +116,8 @@ class _Reading:
         self._sequence = np.empty(rows, np.uint32)
         self._fields = {name: np.empty(rows, layout.dtype[name]) for name in layout.names}
 
-    def take(self, chunk: int, data: bytes, behind: memoryview, count: int) -> None:
-        """Add the samples of a chunk.
+    def take(self, chunk: int, data: bytes, behind: memoryview, count: int, index_at: int) -> None:
+        """Add the samples of a chunk; arguments as `LogSource.each` and `_index_places`, and their number.
 
         Raises:
             IndexWrongError, _OtherLayoutError: they are not as expected.
@@ -117,7 +127,7 @@ class _Reading:
         if count > len(self._records):
             self._make_room(count)
         rows, size = slice(self._used, self._used + count), self._size
-        offsets, channel_ids, log_ns = self._places(chunk, data, behind, count)
+        offsets, channel_ids, log_ns = self._places(chunk, data, behind, count, index_at)
         if offsets[0] < 0 or offsets[-1] + MESSAGE_HEAD.size > len(data):
             raise IndexWrongError("a message index that points beyond its chunk")
         if (offsets == offsets[0] + self._steps[:count]).all() and offsets[-1] + size <= len(data):
@@ -137,17 +147,13 @@ class _Reading:
         self._steps = self._size * np.arange(rows)
 
     def _places(
-        self, chunk: int, data: bytes, behind: memoryview, count: int
+        self, chunk: int, data: bytes, behind: memoryview, count: int, index_at: int
     ) -> tuple[NDArray[np.int64], Any, NDArray[np.int64]]:
         """Return offsets of the records (ascending), channel ids (one or n) and log times of the samples of a chunk."""
-        table = self._source.contents.table
-        first, last = int(table.first_entry[chunk]), int(table.first_entry[chunk + 1])
-        entry = first + int((table.channel[first:last] == self._ids[0]).argmax())
-        at = int(table.index_at[entry] - table.start[chunk] - table.length[chunk]) + MESSAGE_INDEX_BYTES
-        if len(self._ids) > 1 or table.index_at[entry] < 0 or at + INDEX_ENTRY_BYTES * count > len(behind):
+        if index_at < 0 or index_at + INDEX_ENTRY_BYTES * count > len(behind):
             found = find_messages(self._source, chunk, data, self._ids, count)
             return found.offsets, found.channel_ids, found.log_ns.view(np.int64)
-        entries = np.frombuffer(behind, "<i8", 2 * count, at)
+        entries = np.frombuffer(behind, "<i8", 2 * count, index_at)
         log_ns, offsets = entries[::2], entries[1::2]
         if (offsets[1:] < offsets[:-1]).any():
             order = np.argsort(offsets)

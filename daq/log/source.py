@@ -27,7 +27,7 @@ from daq.mcap.reader import survey, walk
 from daq.mcap.records import DamageError, read_attachment
 
 _CACHE_BYTES = 64 * 2**20
-_THREADS = 2
+_GROUPS_AHEAD = 2
 _GROUP_BYTES = 16 * 2**20  # of chunks that are unpacked together
 
 
@@ -106,10 +106,10 @@ class LogSource:
                 yield from self._read(group, keep)
             return
         ahead: deque[Future[list[tuple[int, bytes, memoryview]]]] = deque()
-        with ThreadPoolExecutor(_THREADS) as pool:  # reading, decompression and CRC run in parallel
+        with ThreadPoolExecutor(1) as pool:  # reading, decompression and CRC run in parallel
             for group in groups:
                 ahead.append(pool.submit(self._read_all, group, keep))
-                if len(ahead) > _THREADS:
+                if len(ahead) > _GROUPS_AHEAD:
                     yield from ahead.popleft().result()
             while ahead:
                 yield from ahead.popleft().result()

@@ -199,7 +199,7 @@ class ChunkTable:
         return sums[self.first_entry[chunks + 1] - begin] - sums[self.first_entry[chunks] - begin]
 
     def end_of_indexes(self, chunk: int, file_size: int) -> int:
-        """Return a position in the file before which the message indexes of a chunk end, as far as the table lists them."""
+        """Return the end of a chunk and of its message indexes, as far as the table lists them, bytes."""
         first, last = int(self.first_entry[chunk]), int(self.first_entry[chunk + 1])
         end = int(self.start[chunk] + self.length[chunk])
         if first < last and self.index_at[last - 1] >= 0:
