@@ -22,20 +22,32 @@ def times(data: bytes | memoryview, offsets: NDArray[np.int64]) -> tuple[NDArray
 
 
 class Runs:
-    """Records found or written one after the other; those that are equally long are kept as one run."""
+    """Records found or written one after the other, in less than 2^32 bytes; equally long ones are kept as one run."""
 
     def __init__(self) -> None:
-        self._table = array("q")
+        self._table = array("I")  # half the memory of larger numbers: a hostile chunk has two million runs
 
     def add(self, offset: int, count: int, size: int, channel_id: int = 0) -> None:
         """Add `count` records of `size` bytes each from `offset` on."""
         self._table.extend((offset, count, size, channel_id))
 
-    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return offset, size and channel id of each of the n records, (n,)."""
-        starts, counts, sizes, channel_ids = np.frombuffer(self._table, np.int64).reshape(-1, 4).T
-        each = np.repeat(sizes, counts)
+    def channel_ids(self) -> NDArray[np.uint32]:
+        """Return the channel id of each of the n records, (n,)."""
+        _, counts, _, channel_ids = self._columns()
+        return np.repeat(channel_ids, counts)
+
+    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return offset and size of each of the n records, (n,)."""
+        starts, counts, sizes, _ = self._columns()
+        firsts = np.cumsum(counts, dtype=np.int64)
+        firsts -= counts
+        firsts *= sizes
+        np.subtract(starts, firsts, out=firsts)  # offset of a record of this run's size with the number 0
+        each = np.repeat(sizes, counts).astype(np.int64)
         offsets = np.arange(len(each))
         offsets *= each
-        offsets += np.repeat(starts - sizes * (np.cumsum(counts) - counts), counts)
-        return offsets, each, np.repeat(channel_ids, counts)
+        offsets += np.repeat(firsts, counts)
+        return offsets, each
+
+    def _columns(self) -> NDArray[np.uint32]:
+        return np.frombuffer(self._table, np.uint32).reshape(-1, 4).T

@@ -16,10 +16,11 @@ from daq.mcap.writer import MESSAGE_HEAD
 _EIGHT = struct.Struct("<Q")
 
 
-def record_places(data: bytes | memoryview) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Find the whole records at the start of a block.
+def record_places(data: bytes | memoryview, kind: int = 0) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Find the whole records at the start of a block; successive ones of equal kind, length and channel together.
 
-    Successive records of equal kind, length and channel are found together.
+    Args:
+        kind: opcode of the records; 0 for any.
 
     Returns:
         Offset and size of each, (n,), bytes, including opcode and length; and the offset of the rest.
@@ -28,15 +29,14 @@ def record_places(data: bytes | memoryview) -> tuple[NDArray[np.int64], NDArray[
     while size - position >= RECORD_HEAD.size:
         length = _EIGHT.unpack_from(data, position + 1)[0]
         end = position + RECORD_HEAD.size + length
-        if end > size or not data[position]:
+        if end > size or not data[position] or data[position] != (kind or data[position]):
             break
         count = 1
         if length >= 2 and data[end : end + 11] == data[position : position + 11]:
             count = _alike(data, position, end - position)
         runs.add(position, count, end - position)
         position += count * (end - position)
-    offsets, sizes, _ = runs.places()
-    return offsets, sizes, position
+    return *runs.places(), position
 
 
 def _alike(data: bytes | memoryview, position: int, size: int) -> int:
@@ -117,6 +117,7 @@ def split_chunk(data: bytes | memoryview) -> tuple[Messages, list[tuple[int, byt
     if end != len(data) or (sizes[is_message] < MESSAGE_HEAD.size).any():
         raise DamageError("a chunk that does not consist of whole records")
     defining = np.flatnonzero((opcodes == Opcode.SCHEMA) | (opcodes == Opcode.CHANNEL))
+    rows = slice(None) if is_message.all() else is_message
     places: list[tuple[int, int]] = list(zip(offsets[defining].tolist(), sizes[defining].tolist(), strict=True))
     definitions = [(int(data[at]), bytes(data[at + RECORD_HEAD.size : at + size])) for at, size in places]
-    return messages_at(data, offsets[is_message], (offsets + sizes)[is_message]), definitions
+    return messages_at(data, offsets[rows], (offsets + sizes)[rows]), definitions

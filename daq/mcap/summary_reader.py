@@ -25,6 +25,7 @@ from daq.mcap.writer import MAGIC, MESSAGE_HEAD
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _LONGEST_DATA_END_BYTES = 64
+_LARGEST_BYTES = 2**31
 _FAR = 2**60  # sums of a few such numbers do not overflow
 _INDEX_BYTES = 64  # of a chunk index without entries and without compression
 
@@ -67,6 +68,8 @@ def read_summary(file: FileBytes) -> FileSummary:
         if not len(MAGIC) + RECORD_HEAD.size < footer.summary_start < end:
             raise DamageError("no summary")
         data_end, data_crc = _data_end(file, footer.summary_start)
+        if end - footer.summary_start > _LARGEST_BYTES:
+            raise MemoryError
         data = file.read(footer.summary_start, end - footer.summary_start)
     except LogError as fault:
         raise DamageError(str(fault)) from fault

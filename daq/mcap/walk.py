@@ -13,7 +13,6 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from daq.errors import LogError
-from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
 from daq.mcap.chunks import CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import FileDamage, Held, Place
@@ -266,9 +265,10 @@ class Walk:
     def _loose(self, position: int, end: int) -> int:
         """Process messages outside of chunks, which have no CRC."""
         block = self.window.view(position, min(self.file.size, max(end, position + PIECE_BYTES)))
-        offsets, sizes, _ = record_places(block)
-        other = (fields(block, offsets, "u1") != Opcode.MESSAGE) | (sizes < MESSAGE_HEAD.size)
-        length = int((offsets + sizes)[: other.argmax() if other.any() else len(other)].max(initial=0))
+        offsets, sizes, length = record_places(block, Opcode.MESSAGE)
+        too_short = sizes < MESSAGE_HEAD.size
+        if too_short.any():
+            length = int(offsets[too_short.argmax()])
         if not length:
             raise DamageError("a message shorter than its own head")
         if self.loose and self.loose[-1][1] == position and position - self.loose[-1][0] < _STRETCH_BYTES:

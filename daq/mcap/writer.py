@@ -371,8 +371,9 @@ class BlockWriter:
             return
         data = b"".join(self._parts)
         packed, name = (self._compressor.compress(data), "zstd") if self._compressor else (data, "")
-        offsets, _, ids = self._messages.places()
-        self._put_chunk(packed, name, len(data), crc32(data), (ids, *times(data, offsets), offsets))
+        offsets, _ = self._messages.places()
+        messages = self._messages.channel_ids(), *times(data, offsets), offsets
+        self._put_chunk(packed, name, len(data), crc32(data), messages)
         self._parts, self._size, self._messages = [], 0, Runs()
         if len(self._chunk_indexes) % RESTATE_EVERY == 0:
             self._add(b"".join(map(encode_record, self._schemas.values())))
