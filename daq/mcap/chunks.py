@@ -127,8 +127,8 @@ def _unpack_lz4(packed: bytes | memoryview, unpacked: int) -> bytes:
         part = cast("bytes", cast("Any", frame).decompress(rest, max_length=room))
         parts.append(part)
         room -= len(part)
-        if not frame.eof:
-            break
+        if room and not frame.eof:
+            raise EOFError("a frame that is not whole")
         rest = cast("bytes | None", frame.unused_data) or b""
     return b"".join(parts)
 

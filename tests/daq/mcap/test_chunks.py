@@ -33,7 +33,7 @@ def test_a_chunk_has_its_size_and_its_crc(compression: str) -> None:
     assert unpack(packed, head(compression), True) == DATA
     assert unpack(memoryview(packed), head(compression, crc=0), False) == DATA
     for wrong in (head(compression, crc=5), head(compression, len(DATA) - 1), head(compression, len(DATA) + 1)):
-        with pytest.raises(DamageError, match="CRC|instead of"):
+        with pytest.raises(DamageError, match=r"CRC|instead of"):
             unpack(packed, wrong, False)
     with pytest.raises(DamageError, match="CRC"):
         unpack(packed, head(compression, crc=0), True)
