@@ -18,7 +18,7 @@ from daq.mcap.contents import Contents, from_summary, is_times
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.missing import Missing
-from daq.mcap.records import DamageError, Header, check_attachment, read_header
+from daq.mcap.records import DamageError, check_attachment, read_header
 from daq.mcap.summary_reader import FileSummary, read_summary
 from daq.mcap.walk import Walk
 from rig_basics.texts import number_of
@@ -38,7 +38,7 @@ def survey(file: FileBytes) -> Contents:
     header = read_header(file)
     try:
         summary = read_summary(file)
-        if not _trusts_index(header, summary) and _has_duplicates(file, summary.table):
+        if header.ours and _has_duplicates(file, summary.table):
             raise DamageError("the same chunk is at two places of the index")
         if summary.statistics.message_end_time > EVER_NS:
             raise DamageError(f"a log time of {summary.statistics.message_end_time} ns")  # the walk counts such times
@@ -46,14 +46,6 @@ def survey(file: FileBytes) -> Contents:
     except DamageError as damage:
         _log.info("%s: the whole file is read, since its summary cannot be used: %s", file.path, damage)
         return walk(file)
-
-
-def _trusts_index(header: Header, summary: FileSummary) -> bool:
-    """Return True if only the index can show whether a duplicate chunk was written or copied by mistake.
-
-    This is the case for files of other writers, which need not number messages, without a CRC of the data.
-    """
-    return not header.ours and not summary.data_crc
 
 
 def _has_duplicates(file: FileBytes, index: ChunkTable) -> bool:
@@ -89,10 +81,7 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         summary, why = read_summary(file), ""
     except DamageError as damage:
         summary, why = None, str(damage)
-    trusted = frozenset[int]()
-    if summary is not None and _trusts_index(header, summary):
-        trusted = frozenset(summary.table.start.tolist())
-    done = Walk(file, header, why, trusted, progress)
+    done = Walk(file, header, why, progress)
     done.run()
     if not done.finished:
         _note_cut(done)

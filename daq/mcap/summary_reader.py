@@ -40,7 +40,6 @@ class FileSummary:
         table: the chunks.
         attachments, metadata: their positions.
         data_end: end of the data section, bytes.
-        data_crc: CRC of the data section, not verified; 0 if the writer stored none.
     """
 
     definitions: Definitions
@@ -49,7 +48,6 @@ class FileSummary:
     attachments: list[records.AttachmentIndex]
     metadata: list[records.MetadataIndex]
     data_end: int
-    data_crc: int
 
 
 def read_summary(file: FileBytes) -> FileSummary:
@@ -67,7 +65,7 @@ def read_summary(file: FileBytes) -> FileSummary:
         end = file.size - len(tail)
         if not len(MAGIC) + RECORD_HEAD.size < footer.summary_start < end:
             raise DamageError("no summary")
-        data_end, data_crc = _data_end(file, footer.summary_start)
+        data_end = _data_end(file, footer.summary_start)
         if end - footer.summary_start > _LARGEST_BYTES:
             raise MemoryError
         data = file.read(footer.summary_start, end - footer.summary_start)
@@ -77,20 +75,20 @@ def read_summary(file: FileBytes) -> FileSummary:
         raise DamageError("a summary larger than the available memory") from fault
     if crc32(tail[:25], crc32(data)) != footer.summary_crc:
         raise DamageError("a summary whose CRC is wrong or missing")
-    return _parsed(data, data_end, data_crc)
+    return _parsed(data, data_end)
 
 
-def _data_end(file: FileBytes, summary_start: int) -> tuple[int, int]:
-    """Return position and CRC of the record before the summary, which later versions of the format may extend."""
+def _data_end(file: FileBytes, summary_start: int) -> int:
+    """Return the position of the record before the summary, which later versions of the format may extend."""
     before = file.read(max(0, summary_start - _LONGEST_DATA_END_BYTES), min(summary_start, _LONGEST_DATA_END_BYTES))
     for size in range(RECORD_HEAD.size + 4, len(before) + 1):
         record = before[-size:]
         if RECORD_HEAD.unpack_from(record) == (Opcode.DATA_END, size - RECORD_HEAD.size):
-            return summary_start - size, int.from_bytes(record[9:13], "little")
+            return summary_start - size
     raise DamageError("no end of the data before the summary")
 
 
-def _parsed(data: bytes, data_end: int, data_crc: int) -> FileSummary:
+def _parsed(data: bytes, data_end: int) -> FileSummary:
     """Return the summary after checking that it is consistent.
 
     Raises:
@@ -119,7 +117,7 @@ def _parsed(data: bytes, data_end: int, data_crc: int) -> FileSummary:
         or statistics.attachment_count != len(found.attachments)
     ):
         raise DamageError("a summary that does not index everything")
-    return FileSummary(found.definitions, statistics, table, found.attachments, found.metadata, data_end, data_crc)
+    return FileSummary(found.definitions, statistics, table, found.attachments, found.metadata, data_end)
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ class TableBuilder:
         """Add a chunk that begins at byte `start`. A duplicate is not added; the position of the first is returned.
 
         Args:
-            trusted: add a duplicate as well.
+            trusted: add a duplicate as well. Other writers need not number messages, and may write some twice.
         """
         earlier = self._seen.setdefault((chunk.crc, head.unpacked, *chunk.times), start)
         if earlier != start and chunk.counts and not trusted:

@@ -57,7 +57,6 @@ class Walk:
         file: the open file.
         header: program that wrote the file.
         no_summary: reason why the summary cannot be used; "" if it can.
-        trusted: positions of chunks that are used even if they are duplicates.
         progress: called with the completed share of the file, 0 … 1.
 
     Attributes:
@@ -75,13 +74,11 @@ class Walk:
         file: FileBytes,
         header: Header,
         no_summary: str,
-        trusted: frozenset[int],
         progress: Callable[[float], None] | None,
     ) -> None:
         self.file: FileBytes = file
         self.header: Header = header
         self.no_summary: str = no_summary
-        self.trusted: frozenset[int] = trusted
         self.window: Window = Window(file, header.ours)
         self.progress = progress
         self.damage: FileDamage = FileDamage()
@@ -237,7 +234,7 @@ class Walk:
             self.left_out_end = end  # the length may be wrong: the search still begins inside the chunk …
             self.search_from = max(self.search_from, position + 1)  # … but not at this very chunk again
             return end
-        earlier = self.table.add(position, head, chunk, position in self.trusted)
+        earlier = self.table.add(position, head, chunk, trusted=not self.header.ours)
         if earlier is not None:
             text = f"the chunk of byte {earlier} again, copied over the original contents; used once"
             self.open_place = self.damage.note(position, end, text, len(self.table))

@@ -388,7 +388,7 @@ def summarised(folder: Path, summary: bytes, body: bytes = BODY, **end: int | No
 def test_a_summary_has_the_places_and_numbers_of_its_records(tmp_path: Path) -> None:
     for extra in (b"", b"new"):
         found = summarised(tmp_path, channel(1, "a") + longer(INDEX, extra) + statistics(2, {1: 2, 2: 0}, chunks=1))
-        assert (found.data_end, found.data_crc) == (len(BODY) - 13, 77)
+        assert found.data_end == len(BODY) - 13
         assert (found.table.start.tolist(), found.table.length.tolist()) == ([len(FRONT)], [len(CHUNK)])
         assert found.table.unpacked.tolist() == [len(RECORDS)]
         assert found.table.index_at.tolist() == [len(FRONT) + len(CHUNK)]
