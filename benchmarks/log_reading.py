@@ -44,6 +44,7 @@ def laser(k: np.ndarray) -> dict[str, np.ndarray]:
         "code": code,
         "counter": k % 2**18,
         "device_ticks": 25 * k.astype(np.uint64),
+        "flags": 0,
     }
 
 

@@ -109,10 +109,18 @@ class Channel:
             ValueError: the length is not a multiple of the message size, or a tag is wrong.
         """
         data = np.frombuffer(messages, self.dtype) if isinstance(messages, bytes) else messages
-        for name, tag in self._tags.items():
-            if (data[_TAG + name] != tag).any():
-                raise ValueError(f"{self.topic}: expected tag {tag:#04x} before {name} in every message")
+        self.check(data)
         return {name: np.ascontiguousarray(data[name]) for name in self.names}
+
+    def check(self, messages: NDArray[Any]) -> None:
+        """Check that messages, (n,) of `dtype`, have the constant layout.
+
+        Raises:
+            ValueError: a tag is wrong.
+        """
+        for name, tag in self._tags.items():
+            if (messages[_TAG + name] != tag).any():
+                raise ValueError(f"{self.topic}: expected tag {tag:#04x} before {name} in every message")
 
     def unpack_any(self, messages: Iterable[bytes]) -> dict[str, NDArray[Any]]:
         """Convert messages of any protobuf writer to columns.

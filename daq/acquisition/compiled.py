@@ -7,12 +7,10 @@ host would be late, and the drive would be blamed.
 from __future__ import annotations
 
 from daq.acquisition.exceedance import compile_look
-from daq.mcap.writer import compile_writer
 from daq.signals.normal_equations import compile_solve
 
 
 def compile_acquisition() -> None:
-    """Compile, or load from the cache, the loops of interlocks, log and looks of guided tests."""
+    """Compile, or load from the cache, the loops of interlocks and looks of guided tests."""
     compile_look()
-    compile_writer()
     compile_solve()

@@ -1,4 +1,4 @@
-"""A channel's messages as columns: one compiled pass over each chunk writes directly into the returned arrays."""
+"""A channel's messages as columns: the records of many chunks are gathered in one array, and then checked together."""
 
 from __future__ import annotations
 
@@ -6,51 +6,41 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
-from daq.mcap.scan import BROKEN, MESSAGE_HEAD_BYTES, OTHER_COUNT, OTHER_LAYOUT, collect, locate
+from daq.mcap.blocks import fields
+from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, ChunkTable
+from daq.mcap.records import DamageError
+from daq.mcap.scan import Messages, split_chunk
+from daq.mcap.writer import MESSAGE_HEAD
 from rig_basics.texts import number_of
 
-_RECORD_HEAD_BYTES = 9
+_ROWS = 2**14  # gathered at a time: they stay in the processor's cache until they are columns
 
 
-@dataclass(frozen=True)
-class Messages:
-    """Messages of one chunk: its bytes; offset, end and channel id of each (n, 3); log and publish times (n,), ns."""
-
-    data: NDArray[np.uint8]
-    places: NDArray[np.int64]
-    log_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
-
-    def payload(self, row: int) -> bytes:
-        """Return the payload of a row's message."""
-        start, end, _ = self.places[row]
-        return self.data[start + _RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES : end].tobytes()
-
-    def part(self, rows: NDArray[np.bool_]) -> Messages:
-        """Return the selected rows."""
-        return Messages(self.data, self.places[rows], self.log_ns[rows], self.publish_ns[rows])
-
-    @property
-    def sequences(self) -> NDArray[np.uint32]:
-        """Sequence numbers (n,)."""
-        at = self.places[:, :1] + _RECORD_HEAD_BYTES + 2 + np.arange(4)
-        return np.ascontiguousarray(self.data[at]).view("<u4")[:, 0]
-
-
-def find_messages(data: NDArray[np.uint8], channel_ids: NDArray[np.int64], count: int) -> Messages:
-    """Find the messages of some channels in a chunk; an empty `channel_ids` selects all channels.
+def find_messages(
+    source: LogSource, chunk: int, data: bytes, channel_ids: NDArray[np.int64] | None, count: int
+) -> Messages:
+    """Find the messages of some channels in a chunk; None selects all channels.
 
     Raises:
-        IndexWrongError: the number of messages is not `count`.
+        IndexWrongError: the number of messages is not `count`, or the chunk has other times than the index lists.
     """
-    found = Messages(data, np.empty((count, 3), np.int64), np.empty(count, np.int64), np.empty(count, np.int64))
-    if locate(data, channel_ids, found.places, found.log_ns, found.publish_ns) < 0:
+    try:
+        messages, _ = split_chunk(data)
+    except DamageError as damage:
+        raise IndexWrongError(str(damage)) from damage
+    table = source.contents.table
+    if table.crc is None and len(messages) and messages.span() != (table.start_ns[chunk], table.end_ns[chunk]):
+        raise IndexWrongError("a chunk with messages at other times than the index lists")
+    if channel_ids is not None:
+        messages = messages.part(np.isin(messages.channel_ids, channel_ids))
+    if len(messages) != count:
         raise IndexWrongError(f"a chunk without the {number_of(count, 'message')} that the index lists")
-    return found
+    return messages
 
 
 @dataclass(frozen=True)
@@ -78,76 +68,119 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
     counts = source.contents.table.messages(chunks, channel_ids)
     chunks, counts = chunks[counts > 0], counts[counts > 0]
     ids = np.array(channel_ids, np.int64)
-    block = _Block(layout, int(counts.sum()))
-    rows = dict(
-        zip(chunks.tolist(), zip((np.cumsum(counts) - counts).tolist(), counts.tolist(), strict=True), strict=True)
-    )
-
-    def take(chunk: int, data: NDArray[np.uint8]) -> int:
-        row, room = rows[chunk]
-        return collect(
-            data,
-            ids,
-            layout.dtype.itemsize,
-            block.table,
-            block.heads,
-            block.sequence,
-            block.wide,
-            block.narrow,
-            row,
-            room,
-        )
-
-    results = source.for_each(chunks, take)
-    if any(result in (BROKEN, OTHER_COUNT) for _, result in results):
-        raise IndexWrongError("a chunk without the messages that the index lists")
-    if any(result == OTHER_LAYOUT for _, result in results):
-        return _read_any(source, chunks, counts, ids, layout)
-    columns = block.columns()
-    if len(results) == len(chunks):
-        return columns
-    good = {chunk for chunk, _ in results}
-    return columns.part(np.repeat([chunk in good for chunk in chunks.tolist()], counts))
+    expected = dict(zip(chunks.tolist(), counts.tolist(), strict=True))
+    index_at = dict(zip(chunks.tolist(), _index_places(source.contents.table, chunks, channel_ids), strict=True))
+    reading = _Reading(source, ids, layout, int(counts.sum()))
+    try:
+        for chunk, data, behind in source.each(chunks):
+            reading.take(chunk, data, behind, expected[chunk], index_at[chunk])
+        return reading.columns()
+    except _OtherLayoutError:  # usual: a file of another writer
+        found = [find_messages(source, chunk, data, ids, expected[chunk]) for chunk, data, _ in source.each(chunks)]
+    log_ns = np.concatenate([np.empty(0, np.uint64), *(part.log_ns for part in found)])
+    publish_ns = np.concatenate([np.empty(0, np.uint64), *(part.publish_ns for part in found)])
+    sequence = np.concatenate([np.empty(0, np.uint32), *(part.sequences for part in found)])
+    values = layout.unpack_any(part.payload(row) for part in found for row in range(len(part)))
+    return Columns(log_ns.view(np.int64), publish_ns.view(np.int64), sequence, values)
 
 
-class _Block:
-    """Arrays for n samples; columns of 8 bytes and of 4 bytes are stored separately."""
+def _index_places(table: ChunkTable, chunks: NDArray[np.intp], channel_ids: list[int]) -> list[int]:
+    """Return the offset of the channel's index entries from the end of each chunk; negative if there is no index."""
+    entries = np.flatnonzero(table.channel == channel_ids[0])
+    if len(channel_ids) > 1 or not len(chunks):
+        return [-1] * len(chunks)
+    at = table.index_at[entries[np.searchsorted(entries, table.first_entry[chunks])]]
+    return np.where(at < 0, -1, at - table.start[chunks] - table.length[chunks] + MESSAGE_INDEX_BYTES).tolist()
 
-    def __init__(self, layout: Channel, n: int) -> None:
-        self.layout = layout
-        self.table = np.empty((len(layout.names), 3), np.int64)
-        wide = narrow = offset = 0
-        for number, name in enumerate(layout.names, 1):
-            size = layout.dtype[name].itemsize
-            if size == 8:
-                self.table[number - 1] = offset + 1, number << 3 | 1, wide
-                wide += 1
-            else:
-                self.table[number - 1] = offset + 1, number << 3 | 5, -1 - narrow
-                narrow += 1
-            offset += 1 + size
-        self.heads, self.sequence = np.empty((2, n), np.int64), np.empty(n, np.uint32)
-        self.wide, self.narrow = np.empty((wide, n), np.uint64), np.empty((narrow, n), np.uint32)
+
+class _OtherLayoutError(Exception):
+    """A message is not encoded as this package encodes it, but may be a valid one of its schema."""
+
+
+class _Reading:
+    """Samples of a channel whose messages all have its constant layout.
+
+    Args:
+        rows: largest number of samples.
+    """
+
+    def __init__(self, source: LogSource, channel_ids: NDArray[np.int64], layout: Channel, rows: int) -> None:
+        self._source, self._ids, self._layout = source, channel_ids, layout
+        heads = [("opcode", "u1"), ("length", "<u8"), ("channel_id", "<u2"), ("sequence", "<u4")]
+        times = [("log_ns", "<i8"), ("publish_ns", "<i8")]
+        self._dtype = np.dtype([*heads, *times, ("message", layout.dtype)])
+        self._size = self._dtype.itemsize
+        self._make_room(min(rows, _ROWS))
+        self._used = self._done = 0
+        self._log_ns, self._publish_ns = np.empty((2, rows), np.int64)
+        self._sequence = np.empty(rows, np.uint32)
+        self._fields = {name: np.empty(rows, layout.dtype[name]) for name in layout.names}
+
+    def take(self, chunk: int, data: bytes, behind: memoryview, count: int, index_at: int) -> None:
+        """Add the samples of a chunk; arguments as `LogSource.each` and `_index_places`, and their number.
+
+        Raises:
+            IndexWrongError, _OtherLayoutError: they are not as expected.
+        """
+        if self._used + count > len(self._records):
+            self._flush()
+        if count > len(self._records):
+            self._make_room(count)
+        rows, size = slice(self._used, self._used + count), self._size
+        offsets, channel_ids, log_ns = self._places(chunk, data, behind, count, index_at)
+        if offsets[0] < 0 or offsets[-1] + MESSAGE_HEAD.size > len(data):
+            raise IndexWrongError("a message index that points beyond its chunk")
+        if (offsets == offsets[0] + self._steps[:count]).all() and offsets[-1] + size <= len(data):
+            self._records[rows] = np.ndarray(count, self._records.dtype, data, int(offsets[0]))
+        elif (offsets[1:] <= offsets[:-1]).any():
+            raise IndexWrongError("a message index that lists a message twice")
+        elif (fields(data, offsets + 1, "<u8") != size - 9).any() or offsets[-1] + size > len(data):
+            raise _OtherLayoutError
+        else:
+            self._records[rows] = fields(data, offsets, self._records.dtype.str)
+        self._listed[0, rows], self._listed[1, rows] = channel_ids, log_ns
+        self._used += count
+
+    def _make_room(self, rows: int) -> None:
+        self._records = np.empty(rows, f"V{self._size}")
+        self._listed = np.empty((2, rows), np.int64)  # channel id and log time according to the index
+        self._steps = self._size * np.arange(rows)
+
+    def _places(
+        self, chunk: int, data: bytes, behind: memoryview, count: int, index_at: int
+    ) -> tuple[NDArray[np.int64], Any, NDArray[np.int64]]:
+        """Return offsets of the records (ascending), channel ids (one or n) and log times of the samples of a chunk."""
+        if index_at < 0 or index_at + INDEX_ENTRY_BYTES * count > len(behind):
+            found = find_messages(self._source, chunk, data, self._ids, count)
+            return found.offsets, found.channel_ids, found.log_ns.view(np.int64)
+        entries = np.frombuffer(behind, "<i8", 2 * count, index_at)
+        log_ns, offsets = entries[::2], entries[1::2]
+        if (offsets[1:] < offsets[:-1]).any():
+            order = np.argsort(offsets)
+            log_ns, offsets = log_ns[order], offsets[order]
+        return offsets, self._ids[0], log_ns
+
+    def _flush(self) -> None:
+        """Check the gathered samples and add them to the columns."""
+        block, listed = self._records[: self._used].view(self._dtype), self._listed[:, : self._used]
+        if (block["length"] != self._size - 9).any():
+            raise _OtherLayoutError
+        same = (block["opcode"] == Opcode.MESSAGE) & (block["channel_id"] == listed[0]) & (block["log_ns"] == listed[1])
+        if not same.all():
+            raise IndexWrongError("a chunk without the messages that the index lists")
+        rows = slice(self._done, self._done + self._used)
+        try:
+            self._layout.check(block["message"])
+        except ValueError as fault:
+            raise _OtherLayoutError from fault
+        for name, column in self._fields.items():
+            column[rows] = block["message"][name]
+        self._log_ns[rows], self._publish_ns[rows] = block["log_ns"], block["publish_ns"]
+        self._sequence[rows] = block["sequence"]
+        self._done, self._used = self._done + self._used, 0
 
     def columns(self) -> Columns:
-        fields: dict[str, NDArray[Any]] = {}
-        for name, (_, _, column) in zip(self.layout.names, self.table.tolist(), strict=True):
-            bits = self.wide[column] if column >= 0 else self.narrow[-1 - column]
-            fields[name] = bits.view(self.layout.dtype[name])
-        return Columns(self.heads[0], self.heads[1], self.sequence, fields)
-
-
-def _read_any(
-    source: LogSource, chunks: NDArray[np.intp], counts: NDArray[np.int64], ids: NDArray[np.int64], layout: Channel
-) -> Columns:
-    """As `read_columns`, for messages in any valid protobuf encoding of the schema."""
-    expected = dict(zip(chunks.tolist(), counts.tolist(), strict=True))
-    found = [find_messages(data, ids, expected[chunk]) for chunk, data in source.each(chunks)]
-    fields = layout.unpack_any(part.payload(row) for part in found for row in range(len(part.places)))
-    nothing = np.empty(0, np.int64)
-    return Columns(
-        np.concatenate([nothing, *(part.log_ns for part in found)]),
-        np.concatenate([nothing, *(part.publish_ns for part in found)]),
-        np.concatenate([np.empty(0, np.uint32), *(part.sequences for part in found)]),
-        fields,
-    )
+        """Return the samples of all chunks."""
+        self._flush()
+        whole = Columns(self._log_ns, self._publish_ns, self._sequence, self._fields)
+        return whole if self._done == len(self._sequence) else whole.part(slice(self._done))

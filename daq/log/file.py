@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.errors import LogError, RecordingError
 from daq.items import Batch, DeviceEvent
-from daq.mcap.writer import BlockWriter, compile_writer
+from daq.mcap.writer import BlockWriter
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,6 @@ class ReservedName:
         self.path: Path = Path(path)
         self.part: Path = self.path.with_name(self.path.name + ".part")
         check_name(self.path)
-        compile_writer()  # before the file exists: a process killed while compiling must not leave an empty file
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file: BinaryIO | None = io.BufferedWriter(io.FileIO(self.part, "x"))

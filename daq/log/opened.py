@@ -115,7 +115,7 @@ class Log(Mapping[str, Samples]):
         ids = self._window.ids().get(topic, [])
         if self.window_ns is None:
             return sum(self._source.contents.counts.get(channel_id, 0) for channel_id in ids)
-        return sum(len(part.places) for part in self._window.messages([topic]))
+        return sum(len(part) for part in self._window.messages([topic]))
 
     def channel(self, topic: str) -> Channel:
         """Return the layout of a sample channel, as defined by the file's schema.
@@ -285,7 +285,7 @@ class Log(Mapping[str, Samples]):
                     direction, data = unpack_raw(messages.payload(row))
                 except ValueError as fault:
                     raise LogError(f"{self.path}: raw bytes: {fault}") from fault
-                topic = channels[int(messages.places[row, 2])].topic
+                topic = channels[int(messages.channel_ids[row])].topic
                 yield topic.removeprefix(RAW_PREFIX), RawChunk(host_ns, direction, data)
 
     def _notes(self, topic: str) -> list[dict[str, Any]]:

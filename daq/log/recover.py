@@ -25,10 +25,10 @@ from daq.log.columns import find_messages
 from daq.log.file import give_name
 from daq.log.lost_before import RECOVERED, lost_metadata, read_lost
 from daq.log.source import LogSource
-from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
+from daq.mcap.chunks import HEAD_BYTES, parse_head
 from daq.mcap.missing import Missing
 from daq.mcap.records import DamageError, read_attachment
-from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
+from daq.mcap.writer import LIBRARY, BlockWriter, CopiedChunk
 from daq.version import software_version
 from rig_basics.ignoring import ignoring
 from rig_basics.texts import number_of
@@ -124,16 +124,13 @@ def _default_name(part: Path) -> Path:
 
 def _write(source: LogSource, made: Path, progress: Callable[[float], None]) -> Recovered:
     contents = source.contents
+    header = contents.header
     with made.open("xb") as stream:
-        writer = BlockWriter(stream)
-        writer.start()
+        writer = BlockWriter(stream, library=LIBRARY if header.ours else header.library)
+        writer.start(header.profile)
         writer.adopt(*_definitions(source))
-        facts, attachments = _other_records(source)
-        for name, texts in facts.items():
-            if name != "summary":
-                writer.add_metadata(name, texts)
-        for attachment in attachments:
-            writer.add_attachment(attachment.name, attachment.media_type, attachment.data, attachment.log_time)
+        _copy_metadata(source, writer)
+        _copy_attachments(source, writer)
         chunks, messages = _copy_chunks(
             source, writer, lambda share: progress(_WALK_SHARE + 0.9 * share * (1 - _WALK_SHARE))
         )
@@ -141,8 +138,8 @@ def _write(source: LogSource, made: Path, progress: Callable[[float], None]) -> 
             raise LogError(f"{source.file.path}: expected at least one intact message, found none any more")
         missing = [*source.missing, *_growth(source)]
         writer.add_metadata(RECOVERED, _origin(source, missing, messages, chunks))
-        if contents.header.ours or "summary" in facts:
-            writer.add_metadata("summary", facts.get("summary") or _summary(source))
+        if header.ours:
+            writer.add_metadata("summary", contents.metadata.get("summary") or _summary(source))
         writer.finish()
         stream.flush()
         os.fsync(stream.fileno())
@@ -165,19 +162,21 @@ def _definitions(source: LogSource) -> tuple[list[records.Schema], list[records.
     return schemas, list(channels.values())
 
 
-def _other_records(source: LogSource) -> tuple[dict[str, dict[str, str]], list[records.Attachment]]:
-    """Return the intact metadata and attachments, adapted to the new file."""
-    facts: dict[str, dict[str, str]] = {}
-    for name, texts in source.contents.metadata.items():
-        own = {f"{key} of origin" if key == METADATA_CRC else key: text for key, text in texts.items()}
-        facts[_EARLIER if name == RECOVERED else name] = own
-    attachments: list[records.Attachment] = []
+def _copy_metadata(source: LogSource, writer: BlockWriter) -> None:
+    """Copy the intact metadata; those without a checksum of ours get none."""
+    for name, texts, has_crc in source.contents.facts:
+        if not source.contents.header.ours or name != "summary":
+            writer.add_metadata(_EARLIER if name == RECOVERED else name, texts, has_crc)
+
+
+def _copy_attachments(source: LogSource, writer: BlockWriter) -> None:
     for place in source.contents.attachments:
         try:
-            attachments.append(read_attachment(source.file, place, source.contents.header.ours))
+            found = read_attachment(source.file, place, source.contents.header.ours)
         except DamageError as damage:
             source.missing.append(Missing(str(damage), place.start, place.start + place.length, messages=0))
-    return facts, attachments
+        else:
+            writer.add_attachment(found.name, found.media_type, found.data, found.log_time, found.create_time)
 
 
 def _copy_chunks(source: LogSource, writer: BlockWriter, progress: Callable[[float], None]) -> tuple[int, int]:
@@ -186,21 +185,17 @@ def _copy_chunks(source: LogSource, writer: BlockWriter, progress: Callable[[flo
     assert table.crc is not None  # `walk` has read all chunks
     everything = table.numbers(None)
     counts = table.messages(everything, range(65536))
-    for chunk, data in source.each(everything):
-        found = find_messages(data, everything[:0], int(counts[chunk]))
+    for chunk, data, _ in source.each(everything):
+        found = find_messages(source, chunk, data, None, int(counts[chunk]))
         start, length = int(table.start[chunk]), int(table.length[chunk])
-        packed, compression = data.tobytes(), ""
-        if table.kind[chunk] != BARE:
+        packed, compression = data, ""
+        if not table.bare[chunk]:
             record = source.file.read(start, length)
             head = parse_head(record[:HEAD_BYTES], length)
-            packed, compression = record[head.data_at :], head.compression
-        crc = int(table.crc[chunk])
-        ids = found.places[:, 2]
-        offsets = found.places[:, 0]
-        writer.copy_chunk(
-            CopiedChunk(packed, compression, len(data), crc, ids, found.log_ns, found.publish_ns, offsets)
-        )
-        chunks, messages = chunks + 1, messages + len(ids)
+            packed, compression = record[head.data_at : head.data_at + head.packed], head.compression
+        columns = found.channel_ids, found.log_ns, found.publish_ns, found.offsets
+        writer.copy_chunk(CopiedChunk(packed, compression, len(data), int(table.crc[chunk]), *columns))
+        chunks, messages = chunks + 1, messages + len(found)
         progress((start + length) / source.file.size)
     return chunks, messages
 

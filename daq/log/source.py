@@ -6,32 +6,29 @@ is discarded and the whole file is walked.
 
 from __future__ import annotations
 
-import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.mcap.chunks import BARE, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap.chunks import HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.contents import Contents
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.missing import Missing
 from daq.mcap.reader import survey, walk
 from daq.mcap.records import DamageError, read_attachment
-from daq.mcap.scan import spans
 
 _CACHE_BYTES = 64 * 2**20
-_THREADS = min(4, os.cpu_count() or 1)
-_MIN_PARALLEL_BYTES = 2**20  # reading less takes less time than starting a thread
-T = TypeVar("T")
+_GROUPS_AHEAD = 2
+_GROUP_BYTES = 16 * 2**20  # of chunks that are unpacked together
 
 
 class IndexWrongError(Exception):
@@ -59,7 +56,7 @@ class LogSource:
             raise
         self.missing: list[Missing] = list(self.contents.missing)
         self._lost: set[int] = set()  # offsets of damaged chunks
-        self._kept: dict[int, NDArray[np.uint8]] = {}  # unpacked chunks by their offset
+        self._kept: dict[int, bytes] = {}  # unpacked chunks by their offset
         self._kept_bytes = 0
         self._lock = threading.Lock()
 
@@ -90,38 +87,32 @@ class LogSource:
         self._kept.clear()
         self.file.close()
 
-    def for_each(self, chunks: NDArray[np.intp], task: Callable[[int, NDArray[np.uint8]], T]) -> list[tuple[int, T]]:
-        """Apply a function to the records of each chunk, in several threads if the chunks are large.
+    def each(self, chunks: NDArray[np.intp]) -> Iterator[tuple[int, bytes, memoryview]]:
+        """Yield each chunk that is not damaged, in file order; a few chunks are read at a time.
 
         Args:
             chunks: numbers in the table, ascending.
-            task: called with the chunk's number and its records, uint8.
 
-        Returns:
-            Number and result of every chunk that is not damaged, in file order.
-
-        Raises:
-            IndexWrongError: a chunk does not match the index.
-        """
-        groups, keep = self._groups(chunks), self._may_keep(chunks)
-
-        def run(group: NDArray[np.intp]) -> list[tuple[int, T]]:
-            return [(chunk, task(chunk, data)) for chunk, data in self._read(group, keep)]
-
-        if len(groups) < 2 or self.contents.table.packed[chunks].sum() < _MIN_PARALLEL_BYTES:
-            return [result for group in groups for result in run(group)]
-        with ThreadPoolExecutor(_THREADS) as pool:
-            return [result for results in pool.map(run, groups) for result in results]
-
-    def each(self, chunks: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Yield number and records of each chunk that is not damaged, in file order; a few chunks are read at a time.
+        Yields:
+            The chunk's number, its records, and the bytes of the file after it, which begin with its message indexes.
 
         Raises:
             IndexWrongError: a chunk does not match the index.
         """
-        keep = self._may_keep(chunks)
-        for group in self._groups(chunks):
-            yield from self._read(group, keep)
+        keep, groups = self._may_keep(chunks), self._groups(chunks)
+        most = int(self.contents.table.unpacked[chunks].max(initial=0))
+        if len(groups) < 2 or most > PIECE_BYTES:  # starting a thread takes longer; large chunks are read one by one
+            for group in groups:
+                yield from self._read(group, keep)
+            return
+        ahead: deque[Future[list[tuple[int, bytes, memoryview]]]] = deque()
+        with ThreadPoolExecutor(1) as pool:  # reading, decompression and CRC run in parallel
+            for group in groups:
+                ahead.append(pool.submit(self._read_all, group, keep))
+                if len(ahead) > _GROUPS_AHEAD:
+                    yield from ahead.popleft().result()
+            while ahead:
+                yield from ahead.popleft().result()
 
     def _may_keep(self, chunks: NDArray[np.intp]) -> bool:
         """Return True if the unpacked chunks are few enough to be kept for the next channel."""
@@ -135,25 +126,28 @@ class LogSource:
         starts, ends = table.start[chunks], table.start[chunks] + table.length[chunks]
         is_far = starts[1:] - ends[:-1] > PIECE_BYTES // 8
         in_next_piece = starts[1:] // PIECE_BYTES != starts[:-1] // PIECE_BYTES
-        cuts = np.flatnonzero(is_far | in_next_piece) + 1
+        unpacked = np.cumsum(table.unpacked[chunks]) // _GROUP_BYTES
+        cuts = np.flatnonzero(is_far | in_next_piece | (unpacked[1:] != unpacked[:-1])) + 1
         return np.split(chunks, cuts)
 
-    def _read(self, group: NDArray[np.intp], keep: bool) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    def _read(self, group: NDArray[np.intp], keep: bool) -> Iterator[tuple[int, bytes, memoryview]]:
         table = self.contents.table
-        first, last = int(group[0]), int(group[-1])
-        begin, end = int(table.start[first]), int(table.start[last] + table.length[last])
+        begin, end = int(table.start[group[0]]), table.end_of_indexes(int(group[-1]), self.file.size)
         block: memoryview | None = None
         for chunk in group.tolist():
-            start = int(table.start[chunk])
+            start, length = int(table.start[chunk]), int(table.length[chunk])
             data = self._kept.get(start)
+            if block is None:
+                block = self._block(begin, end)
             if data is None and start not in self._lost:
-                if block is None:
-                    block = self._block(begin, end)
-                data = self._unpack(chunk, block[start - begin : start - begin + int(table.length[chunk])])
+                data = self._unpack(chunk, block[start - begin : start - begin + length])
                 if keep and data is not None:
                     self._keep(start, data)
             if data is not None:
-                yield chunk, data
+                yield chunk, data, block[start - begin + length :]
+
+    def _read_all(self, group: NDArray[np.intp], keep: bool) -> list[tuple[int, bytes, memoryview]]:
+        return list(self._read(group, keep))
 
     def _block(self, begin: int, end: int) -> memoryview:
         """Return bytes of the file; fewer if the disk fails or the file was cut meanwhile."""
@@ -164,24 +158,21 @@ class LogSource:
         except LogError:  # usual: the chunks are read one by one, and those that cannot be read are listed
             return memoryview(b"")
 
-    def _unpack(self, chunk: int, record: memoryview) -> NDArray[np.uint8] | None:
+    def _unpack(self, chunk: int, record: memoryview) -> bytes | None:
         """Return the checked records of a chunk; None if it is damaged, which is noted in `missing`."""
         table = self.contents.table
         start, length = int(table.start[chunk]), int(table.length[chunk])
         try:
             if len(record) != length:
                 record = memoryview(self.file.read(start, length))
-            data = np.frombuffer(self._checked(chunk, record), np.uint8)
-            if table.crc is None and not spans(data, table.start_ns[chunk], table.end_ns[chunk]):
-                raise IndexWrongError("a chunk with messages at other times than the index lists")
+            return self._checked(chunk, record)
         except (DamageError, LogError) as damage:
             if self.file.closed:
                 raise
             self._lose(chunk, str(damage))
             return None
-        return data
 
-    def _keep(self, start: int, data: NDArray[np.uint8]) -> None:
+    def _keep(self, start: int, data: bytes) -> None:
         """Keep an unpacked chunk, and drop the oldest ones beyond the limit."""
         with self._lock:
             self._kept[start] = data
@@ -189,28 +180,27 @@ class LogSource:
             while self._kept_bytes > _CACHE_BYTES:
                 self._kept_bytes -= len(self._kept.pop(next(iter(self._kept))))
 
-    def _checked(self, chunk: int, record: memoryview) -> bytes | memoryview:
+    def _checked(self, chunk: int, record: memoryview) -> bytes:
         table, ours = self.contents.table, self.contents.header.ours
         unpacked = int(table.unpacked[chunk])
-        if table.kind[chunk] == BARE:
-            assert table.crc is not None
-            return unpack(record, ChunkHead(0, 0, unpacked, int(table.crc[chunk]), 0, "", 0, unpacked), True)
-        try:
-            head = parse_head(record[:HEAD_BYTES], int(table.length[chunk]))
-            times = int(table.start_ns[chunk]), int(table.end_ns[chunk])
-            if (head.unpacked, head.kind, head.packed) != (
-                unpacked,
-                int(table.kind[chunk]),
-                int(table.packed[chunk]),
-            ) or (table.crc is None and times != (head.start_ns, head.end_ns)):
-                raise DamageError("a chunk that does not match the index")
-        except DamageError as damage:
-            if table.crc is None:
+        if table.crc is None:
+            try:
+                head = parse_head(record[:HEAD_BYTES], int(table.length[chunk]))
+                if (head.unpacked, head.start_ns, head.end_ns) != (
+                    unpacked,
+                    int(table.start_ns[chunk]),
+                    int(table.end_ns[chunk]),
+                ):
+                    raise DamageError("a chunk that does not match the index")
+            except DamageError as damage:
                 raise IndexWrongError(str(damage)) from damage
-            raise  # `walk` found the chunk intact: the file was changed since
-        if table.crc is not None:
-            head = replace(head, crc=int(table.crc[chunk]))
-        return unpack(record[head.data_at :], head, ours)
+        elif table.bare[chunk]:
+            head = ChunkHead(0, 0, unpacked, int(table.crc[chunk]), "", 0, unpacked)
+        else:  # `walk` found the chunk intact: another head means that the file was changed since
+            head = replace(parse_head(record[:HEAD_BYTES], int(table.length[chunk])), crc=int(table.crc[chunk]))
+            if head.unpacked != unpacked:
+                raise DamageError("a chunk that does not match the index")
+        return unpack(record[head.data_at : head.data_at + head.packed], head, ours)
 
     def _lose(self, chunk: int, why: str) -> None:
         """Exclude a chunk from now on, and list in `missing` what it contained."""

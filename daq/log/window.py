@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import RAW_PREFIX, Channel
-from daq.log.columns import Columns, Messages, find_messages, read_columns
+from daq.log.columns import Columns, find_messages, read_columns
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.chunks import ChunkTable
+from daq.mcap.scan import Messages
 
 _log = logging.getLogger(__name__)
 
@@ -91,9 +92,9 @@ class LogWindow:
         counts = table.messages(chunks, ids)
         expected = dict(zip(chunks[counts > 0].tolist(), counts[counts > 0].tolist(), strict=True))
         by_host_time = all(topic.startswith(RAW_PREFIX) for topic in topics)
-        for chunk, data in self._source.each(chunks[counts > 0]):
-            found = find_messages(data, np.array(ids, np.int64), expected[chunk])
+        for chunk, data, _ in self._source.each(chunks[counts > 0]):
+            found = find_messages(self._source, chunk, data, np.array(ids, np.int64), expected[chunk])
             if self._window_ns is not None:
-                times = found.log_ns if by_host_time else found.publish_ns
+                times = (found.log_ns if by_host_time else found.publish_ns).view(np.int64)
                 found = found.part((times >= self._window_ns[0]) & (times < self._window_ns[1]))
             yield int(table.start[chunk]), found

@@ -6,7 +6,9 @@ import struct
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, cast
 
+import lz4.frame
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
@@ -19,22 +21,26 @@ CHUNK_LIMIT_BYTES = 64 * 2**20
 """Largest chunk that is unpacked; a head with a larger size is treated as damage."""
 HEAD_BYTES = 4096
 """Number of bytes of a chunk record that contain its head."""
-NOT_PACKED, ZSTD, OTHER, BARE = 0, 1, 2, 3
-"""Kinds of chunks; a bare one is a series of messages in the file without a chunk around them."""
 NEVER_NS, EVER_NS = -(2**63), 2**63 - 1
+MESSAGE_INDEX_BYTES, INDEX_ENTRY_BYTES = 15, 16
+"""Sizes of a message index without its entries, and of one entry."""
 _HEAD = struct.Struct("<QQQII")
 _per_thread = threading.local()
 
 
 @dataclass(frozen=True)
 class ChunkHead:
-    """Fields of a chunk's head; `data_at` is the offset of its packed records from the record's start."""
+    """Fields of a chunk's head.
+
+    Attributes:
+        data_at: offset of the packed records from the record's start; 0 for messages in the file without a chunk.
+        packed: their size, bytes.
+    """
 
     start_ns: int
     end_ns: int
     unpacked: int
     crc: int
-    kind: int
     compression: str
     data_at: int
     packed: int
@@ -59,14 +65,13 @@ def parse_head(record: bytes | memoryview, length: int) -> ChunkHead:
     if opcode != 6 or announced + RECORD_HEAD.size != length or data_at > min(length, len(record)):
         raise DamageError("a chunk whose lengths contradict each other")
     packed = int.from_bytes(record[data_at - 8 : data_at], "little")
-    if data_at + packed != length:
+    if data_at + packed > length:  # later versions of the format may append fields
         raise DamageError("a chunk whose lengths contradict each other")
     compression = bytes(record[at : at + name_bytes]).decode("ascii", "replace")
-    kind = {"": NOT_PACKED, "zstd": ZSTD}.get(compression, OTHER)
-    return ChunkHead(start_ns, end_ns, unpacked, crc, kind, compression, data_at, packed)
+    return ChunkHead(start_ns, end_ns, unpacked, crc, compression, data_at, packed)
 
 
-def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> bytes | memoryview:
+def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> bytes:
     """Decompress and verify the records of a chunk.
 
     Args:
@@ -81,12 +86,15 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
         raise DamageError(
             f"a chunk of {number_of(head.unpacked, 'byte')}, more than the {CHUNK_LIMIT_BYTES} that are unpacked"
         )
-    if head.kind == NOT_PACKED:
-        data = packed
-    elif head.kind == ZSTD:
-        data = _unpack_zstd(packed, head.unpacked)
-    else:
-        raise DamageError(f"a chunk compressed with {head.compression[:20]!r}, not zstd: convert the file with 'mcap'")
+    if head.compression not in _UNPACKERS:
+        known = ", ".join(name for name in _UNPACKERS if name)
+        raise DamageError(
+            f"a chunk compressed with {head.compression[:20]!r}, not with one of {known}: convert the file with 'mcap'"
+        )
+    try:
+        data = _UNPACKERS[head.compression](packed, head.unpacked)
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as fault:
+        raise DamageError(f"a chunk whose {head.compression} data is damaged ({fault})") from fault
     if len(data) != head.unpacked:
         raise DamageError(f"a chunk of {number_of(len(data), 'byte')} instead of {head.unpacked}")
     if (head.crc or needs_crc) and crc32(data) != head.crc:
@@ -94,16 +102,38 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
     return data
 
 
+def _unpack_nothing(packed: bytes | memoryview, unpacked: int) -> bytes:
+    return bytes(packed[: unpacked + 1])
+
+
 def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
-    try:
-        announced = zstandard.frame_content_size(packed)  # -1 if the frame does not contain it
-        if announced not in (-1, unpacked):
-            raise DamageError(f"a chunk of {number_of(unpacked, 'byte')} whose zstd frame announces {announced}")
-        if not hasattr(_per_thread, "decompressor"):
-            _per_thread.decompressor = zstandard.ZstdDecompressor()
-        return _per_thread.decompressor.decompress(packed, max_output_size=max(unpacked, 1), allow_extra_data=False)
-    except (zstandard.ZstdError, MemoryError) as fault:
-        raise DamageError(f"a chunk whose zstd data is damaged ({fault})") from fault
+    """Return the content of all frames, of which at most one byte more than `unpacked` is decompressed."""
+    if not hasattr(_per_thread, "decompressor"):
+        _per_thread.decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT_BYTES)
+    if zstandard.frame_content_size(packed) == unpacked > 0:  # the usual case, in half the time
+        try:
+            return _per_thread.decompressor.decompress(packed, allow_extra_data=False)
+        except zstandard.ZstdError:  # usual: more frames follow, or the data is damaged
+            pass
+    with _per_thread.decompressor.stream_reader(packed, read_across_frames=True) as stream:
+        return stream.read(unpacked + 1)
+
+
+def _unpack_lz4(packed: bytes | memoryview, unpacked: int) -> bytes:
+    """As `_unpack_zstd`."""
+    parts, room, rest = list[bytes](), unpacked + 1, bytes(packed)
+    while rest and room:
+        frame = lz4.frame.LZ4FrameDecompressor()
+        part = cast("bytes", cast("Any", frame).decompress(rest, max_length=room))
+        parts.append(part)
+        room -= len(part)
+        if room and not frame.eof:
+            raise EOFError("a frame that is not whole")
+        rest = cast("bytes | None", frame.unused_data) or b""
+    return b"".join(parts)
+
+
+_UNPACKERS = {"": _unpack_nothing, "zstd": _unpack_zstd, "lz4": _unpack_lz4}
 
 
 @dataclass(frozen=True)
@@ -112,20 +142,20 @@ class ChunkTable:
 
     Attributes:
         start, length: int64 (n,), position and length of the whole record, bytes.
-        packed, unpacked: int64 (n,), sizes of its records in the file and decompressed, bytes.
-        kind: uint8 (n,), `NOT_PACKED` …
+        unpacked: int64 (n,), size of its decompressed records, bytes.
+        bare: bool (n,), True for a series of messages in the file without a chunk around them.
         start_ns, end_ns: int64 (n,), first and last log time.
         low_ns, high_ns: int64 (n,), bounds of log and publish times; NEVER_NS, EVER_NS if they are unknown.
         crc: uint32 (n,), CRC of the unpacked records, if they have been read; None for a table from an index.
         first_entry: int64 (n + 1,), index of each chunk's first entry.
         channel, count: (m,), channel id and number of messages per entry.
+        index_at: int64 (m,), position of the entry's message index record in the file; -1 if there is none.
     """
 
     start: NDArray[np.int64]
     length: NDArray[np.int64]
-    packed: NDArray[np.int64]
     unpacked: NDArray[np.int64]
-    kind: NDArray[np.uint8]
+    bare: NDArray[np.bool_]
     start_ns: NDArray[np.int64]
     end_ns: NDArray[np.int64]
     low_ns: NDArray[np.int64]
@@ -133,7 +163,8 @@ class ChunkTable:
     crc: NDArray[np.uint32] | None
     first_entry: NDArray[np.int64]
     channel: NDArray[np.uint16]
-    count: NDArray[np.uint32]
+    count: NDArray[np.int64]
+    index_at: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.start)
@@ -166,6 +197,14 @@ class ChunkTable:
         sums = np.zeros(end - begin + 1, np.int64)
         np.cumsum(np.where(wanted[self.channel[begin:end]], self.count[begin:end], 0), out=sums[1:])
         return sums[self.first_entry[chunks + 1] - begin] - sums[self.first_entry[chunks] - begin]
+
+    def end_of_indexes(self, chunk: int, file_size: int) -> int:
+        """Return the end of a chunk and of its message indexes, as far as the table lists them, bytes."""
+        first, last = int(self.first_entry[chunk]), int(self.first_entry[chunk + 1])
+        end = int(self.start[chunk] + self.length[chunk])
+        if first < last and self.index_at[last - 1] >= 0:
+            end = int(self.index_at[last - 1]) + MESSAGE_INDEX_BYTES + INDEX_ENTRY_BYTES * int(self.count[last - 1])
+        return min(end, file_size)
 
     def entries(self, chunk: int) -> list[tuple[int, int]]:
         """Return channel id and number of messages for each channel of one chunk."""

@@ -14,14 +14,13 @@ import numpy as np
 
 from daq.errors import LogError
 from daq.mcap.chunks import EVER_NS, HEAD_BYTES, ChunkTable, parse_head
-from daq.mcap.contents import Contents, from_summary
+from daq.mcap.contents import Contents, from_summary, is_times
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.missing import Missing
-from daq.mcap.records import DamageError, Header, check_attachment, read_header
+from daq.mcap.records import DamageError, check_attachment, read_header
 from daq.mcap.summary_reader import FileSummary, read_summary
 from daq.mcap.walk import Walk
-from daq.mcap.writer import TIMES
 from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
@@ -38,23 +37,15 @@ def survey(file: FileBytes) -> Contents:
     """
     header = read_header(file)
     try:
-        summary = read_summary(file, header)
-        if not _trusts_index(header, summary) and _has_duplicates(file, summary.table):
+        summary = read_summary(file)
+        if header.ours and _has_duplicates(file, summary.table):
             raise DamageError("the same chunk is at two places of the index")
-        if summary.statistics is not None and summary.statistics.message_end_time > EVER_NS:
+        if summary.statistics.message_end_time > EVER_NS:
             raise DamageError(f"a log time of {summary.statistics.message_end_time} ns")  # the walk counts such times
         return from_summary(file, header, summary)
     except DamageError as damage:
         _log.info("%s: the whole file is read, since its summary cannot be used: %s", file.path, damage)
         return walk(file)
-
-
-def _trusts_index(header: Header, summary: FileSummary) -> bool:
-    """Return True if only the index can show whether a duplicate chunk was written or copied by mistake.
-
-    This is the case for files of other writers, which need not number messages, without a CRC of the data.
-    """
-    return not header.ours and not summary.data_crc
 
 
 def _has_duplicates(file: FileBytes, index: ChunkTable) -> bool:
@@ -87,13 +78,10 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
     """
     header = read_header(file)
     try:
-        summary, why = read_summary(file, header), ""
+        summary, why = read_summary(file), ""
     except DamageError as damage:
         summary, why = None, str(damage)
-    trusted = frozenset[int]()
-    if summary is not None and _trusts_index(header, summary):
-        trusted = frozenset(summary.table.start.tolist())
-    done = Walk(file, header, why, trusted, progress)
+    done = Walk(file, header, why, progress)
     done.run()
     if not done.finished:
         _note_cut(done)
@@ -102,7 +90,6 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
     table = done.table.build()
     if summary is None:
         done.damage.settle(table, done.unnamed)
-    done.metadata.pop(TIMES, None)  # the table contains the times themselves
     contents = Contents(
         header,
         table,
@@ -110,7 +97,7 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
         done.definitions,
         table.totals(),
         table.span(),
-        done.metadata,
+        [record for record in done.facts if not is_times(record)],  # the table contains the times themselves
         done.attachments,
     )
     contents.missing = _missing(done, summary, contents)
@@ -143,14 +130,14 @@ def _use_summary(done: Walk, summary: FileSummary) -> None:
     """Add what only the summary locates, because it is in a damaged range, and compare the summary with the rest."""
     done.definitions.fill_up(summary.definitions)
     found = from_summary(done.file, done.header, summary)
-    done.metadata = found.metadata  # the index contains the names, which no CRC of the records covers
+    done.facts = found.facts  # the index contains the names, which no CRC of the records covers
     for place in found.missing:
         done.damage.note(place.byte_start or 0, place.byte_end or 0, place.text, len(done.table))
     starts_found = {place.start for place in done.attachments}
     for place in found.attachments:
         if place.start not in starts_found:
             try:
-                done.attachments.append(check_attachment(done.file, place.start, done.header.ours))
+                done.attachments.append(check_attachment(done.file, place.start, done.header.ours)[0])
             except DamageError as damage:
                 text, end = f"{damage}: attachment {place.name[:80]!r} was left out", place.start + place.length
                 done.damage.note(place.start, end, text, len(done.table))

@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -40,10 +40,12 @@ class Header:
     Attributes:
         library: name in the header; "" if the header cannot be read.
         ours: True if written by this package, so that every CRC must be present.
+        profile: profile in the header.
     """
 
     library: str
     ours: bool
+    profile: str = ""
 
 
 def read_header(file: FileBytes) -> Header:
@@ -57,16 +59,16 @@ def read_header(file: FileBytes) -> Header:
         raise LogError(f"expected an MCAP log that begins with {MAGIC!r}, got {begin[: len(MAGIC)]!r}")
     try:
         opcode, body = read_record(file, len(MAGIC), _TEXT_LIMIT_BYTES)
-        library = parse(records.Header, body).library if opcode == Opcode.HEADER else ""
+        header = parse(records.Header, body) if opcode == Opcode.HEADER else records.Header("", "")
     except DamageError:  # usual: the writer is recognized by similar text below
-        library = ""
-    if library.startswith(LIBRARY):
-        return Header(library, True)
+        header = records.Header("", "")
+    if header.library.startswith(LIBRARY):
+        return Header(header.library, True, header.profile)
     # no CRC covers the header when the file was cut: a few flipped bits must not disable the checks
     text = begin[len(MAGIC) :].decode("latin-1")
     alike = SequenceMatcher(None, LIBRARY, text[: 4 * len(LIBRARY)], autojunk=False)
     same = sum(block.size for block in alike.get_matching_blocks())
-    return Header(library, same >= _ALIKE * len(LIBRARY))
+    return Header(header.library, same >= _ALIKE * len(LIBRARY), header.profile)
 
 
 def read_record(file: FileBytes, position: int, limit: int) -> tuple[int, bytes]:
@@ -90,8 +92,14 @@ def parse(kind: Any, body: bytes) -> Any:
     Raises:
         DamageError: the content cannot be parsed.
     """
+    return _parsed(kind, body)[0]
+
+
+def _parsed(kind: Any, body: bytes) -> tuple[Any, int]:
+    """Return the record, and the number of bytes of its known fields; later versions of the format may append some."""
+    stream = ReadDataStream(BytesIO(body))
     try:
-        return kind.read(ReadDataStream(BytesIO(body)))
+        return kind.read(stream), stream.count
     except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as fault:
         raise DamageError(f"a {kind.__name__.lower()} record that cannot be read ({fault})") from fault
 
@@ -124,8 +132,16 @@ class Definitions:
         self.channels = others.channels | self.channels
 
 
-def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
-    """Return name and texts of a metadata record, without this package's CRC.
+class Facts(NamedTuple):
+    """A metadata record: its name, its texts without this package's CRC, and whether it has one."""
+
+    name: str
+    texts: dict[str, str]
+    has_crc: bool
+
+
+def check_metadata(body: bytes, ours: bool) -> Facts:
+    """Return the facts of a metadata record.
 
     Raises:
         DamageError: the record cannot be parsed, or its CRC is wrong or missing.
@@ -134,14 +150,16 @@ def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
     texts = dict(metadata.metadata)
     crc = texts.pop(METADATA_CRC, None)
     if not ours and (crc is None or not re.fullmatch("[0-9a-f]{8}", crc) or crc != metadata_crc(metadata.name, texts)):
-        return metadata.name, dict(metadata.metadata)  # of another writer, which may use this key for anything
+        return Facts(
+            metadata.name, dict(metadata.metadata), False
+        )  # of another writer, which may use this key for anything
     if crc != metadata_crc(metadata.name, texts):
         raise DamageError(f"metadata {metadata.name[:80]!r} whose CRC is wrong")
-    return metadata.name, texts
+    return Facts(metadata.name, texts, True)
 
 
-def read_metadata(file: FileBytes, start: int, ours: bool) -> tuple[str, dict[str, str]]:
-    """Return name and texts of the metadata record at byte `start`.
+def read_metadata(file: FileBytes, start: int, ours: bool) -> Facts:
+    """Return the facts of the metadata record at byte `start`.
 
     Raises:
         DamageError: there is another record, it cannot be parsed, or its CRC is wrong or missing.
@@ -161,33 +179,35 @@ class AttachmentPlace:
     name: str
 
 
-def check_attachment(file: FileBytes, start: int, ours: bool) -> AttachmentPlace:
+def check_attachment(file: FileBytes, start: int, ours: bool) -> tuple[AttachmentPlace, bool]:
     """Verify the attachment record at byte `start` in bounded memory.
+
+    Returns:
+        Its place, and whether it has a CRC.
 
     Raises:
         DamageError: there is another record, its lengths contradict each other, or its CRC is wrong or (ours) missing.
     """
     try:
         opcode, length = RECORD_HEAD.unpack(file.read(start, RECORD_HEAD.size))
-        body = start + RECORD_HEAD.size
-        end = body + length
+        body, end = start + RECORD_HEAD.size, start + RECORD_HEAD.size + length
         if opcode != Opcode.ATTACHMENT or length < 36 or end > file.size:
             raise DamageError("an attachment whose lengths contradict each other")
-        at = body + 16
-        texts: list[bytes] = []
+        at, texts = body + 16, list[bytes]()
         for _ in range(2):
             size = int.from_bytes(file.read(at, 4), "little")
             if at + 4 + size > end - 12:
                 raise DamageError("an attachment whose lengths contradict each other")
             texts.append(file.read(at + 4, size))
             at += 4 + size
-        if at + 8 + int.from_bytes(file.read(at, 8), "little") != end - 4:
+        at += 8 + int.from_bytes(file.read(at, 8), "little")  # later versions of the format may append fields
+        if at > end - 4:
             raise DamageError("an attachment whose lengths contradict each other")
         name = texts[0].decode("utf-8", "replace")
-        crc = int.from_bytes(file.read(end - 4, 4), "little")
-        if (crc or ours) and file.crc(body, end - 4) != crc:
+        crc = int.from_bytes(file.read(at, 4), "little")
+        if (crc or ours) and file.crc(body, at) != crc:
             raise DamageError(f"attachment {name[:80]!r} whose CRC is wrong")
-        return AttachmentPlace(start, length + RECORD_HEAD.size, name)
+        return AttachmentPlace(start, length + RECORD_HEAD.size, name), bool(crc)
     except LogError as fault:
         raise DamageError(str(fault)) from fault
 
@@ -199,10 +219,10 @@ def read_attachment(file: FileBytes, place: AttachmentPlace, ours: bool) -> reco
         DamageError: as `check_attachment`.
     """
     opcode, body = read_record(file, place.start, place.length - RECORD_HEAD.size)
-    attachment = parse(records.Attachment, body) if opcode == Opcode.ATTACHMENT else None
+    attachment, used = _parsed(records.Attachment, body) if opcode == Opcode.ATTACHMENT else (None, 0)
     if attachment is None or attachment.name != place.name or len(body) + RECORD_HEAD.size != place.length:
         raise DamageError(f"something else where attachment {place.name[:80]!r} was expected")
-    crc = int.from_bytes(body[-4:], "little")
-    if (crc or ours) and crc32(body[:-4]) != crc:
+    crc = int.from_bytes(body[used - 4 : used], "little")
+    if (crc or ours) and crc32(body[: used - 4]) != crc:
         raise DamageError(f"attachment {place.name[:80]!r} whose CRC is wrong")
     return attachment

@@ -1,58 +1,56 @@
 """Reader of a finished MCAP file's summary: definitions, statistics, and the position of every chunk.
 
 The summary is used only if its CRC is right and it is consistent in itself and with the file; otherwise the file must
-be walked from the start (daq.mcap.reader). It is read in pieces, so that an index of many megabytes needs no memory.
+be walked from the start (daq.mcap.reader).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 from numpy.typing import NDArray
 
 from daq.errors import LogError
+from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
-from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
+from daq.mcap.chunks import EVER_NS, INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
-from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, Header, parse
-from daq.mcap.scan import chunk_indexes
-from daq.mcap.writer import MAGIC
+from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, parse
+from daq.mcap.scan import record_places
+from daq.mcap.writer import MAGIC, MESSAGE_HEAD
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
-_DATA_END_BYTES = RECORD_HEAD.size + 4
-_PIECE_BYTES = 256 * 1024  # stays in the processor's cache between reading, CRC and parsing
-_MIN_INDEX_BYTES = RECORD_HEAD.size + 64
-_MIN_ENTRY_BYTES = 10
+_LONGEST_DATA_END_BYTES = 64
+_LARGEST_BYTES = 2**31
+_FAR = 2**60  # sums of a few such numbers do not overflow
+_INDEX_BYTES = 64  # of a chunk index without entries and without compression
 
 
-@dataclass
+@dataclass(frozen=True)
 class FileSummary:
     """Summary of a finished file.
 
     Attributes:
         definitions: schemas and channels.
-        statistics: counts and times; None if the writer stored none.
+        statistics: counts and times.
         table: the chunks.
         attachments, metadata: their positions.
         data_end: end of the data section, bytes.
-        data_crc: CRC of the data section, not verified; 0 if the writer stored none.
     """
 
     definitions: Definitions
-    statistics: Statistics | None
+    statistics: records.Statistics
     table: ChunkTable
-    attachments: list[AttachmentIndex]
-    metadata: list[MetadataIndex]
+    attachments: list[records.AttachmentIndex]
+    metadata: list[records.MetadataIndex]
     data_end: int
-    data_crc: int
 
 
-def read_summary(file: FileBytes, header: Header) -> FileSummary:
+def read_summary(file: FileBytes) -> FileSummary:
     """Read and verify the summary of a finished file.
 
     Raises:
@@ -63,154 +61,130 @@ def read_summary(file: FileBytes, header: Header) -> FileSummary:
         opcode, length = RECORD_HEAD.unpack_from(tail)
         if opcode != Opcode.FOOTER or length != 20 or tail[_FOOTER_BYTES:] != MAGIC:
             raise DamageError("no footer at the end")
-        start = int.from_bytes(tail[9:17], "little")
-        crc = int.from_bytes(tail[25:29], "little")
+        footer = parse(records.Footer, tail[RECORD_HEAD.size : _FOOTER_BYTES])
         end = file.size - len(tail)
-        if not len(MAGIC) + _DATA_END_BYTES < start < end:
+        if not len(MAGIC) + RECORD_HEAD.size < footer.summary_start < end:
             raise DamageError("no summary")
-        data_end = file.read(start - _DATA_END_BYTES, _DATA_END_BYTES)
-        if RECORD_HEAD.unpack_from(data_end) != (Opcode.DATA_END, 4):
-            raise DamageError("no end of the data before the summary")
-        reading = _Reading(file, start, end)
-        reading.run()
-        if crc32(tail[:25], reading.crc) != crc:
-            raise DamageError("a summary whose CRC is wrong or missing")
+        data_end = _data_end(file, footer.summary_start)
+        if end - footer.summary_start > _LARGEST_BYTES:
+            raise MemoryError
+        data = file.read(footer.summary_start, end - footer.summary_start)
     except LogError as fault:
         raise DamageError(str(fault)) from fault
     except MemoryError as fault:
         raise DamageError("a summary larger than the available memory") from fault
-    return reading.summary(start - _DATA_END_BYTES, int.from_bytes(data_end[-4:], "little"), header)
+    if crc32(tail[:25], crc32(data)) != footer.summary_crc:
+        raise DamageError("a summary whose CRC is wrong or missing")
+    return _parsed(data, data_end)
 
 
-@dataclass
-class _Reading:
-    """One pass over the summary's bytes."""
+def _data_end(file: FileBytes, summary_start: int) -> int:
+    """Return the position of the record before the summary, which later versions of the format may extend."""
+    before = file.read(max(0, summary_start - _LONGEST_DATA_END_BYTES), min(summary_start, _LONGEST_DATA_END_BYTES))
+    for size in range(RECORD_HEAD.size + 4, len(before) + 1):
+        record = before[-size:]
+        if RECORD_HEAD.unpack_from(record) == (Opcode.DATA_END, size - RECORD_HEAD.size):
+            return summary_start - size
+    raise DamageError("no end of the data before the summary")
 
-    file: FileBytes
-    start: int
-    end: int
-    crc: int = 0
-    definitions: Definitions = field(default_factory=Definitions)
-    statistics: Statistics | None = None
-    attachments: list[AttachmentIndex] = field(default_factory=list[AttachmentIndex])
-    metadata: list[MetadataIndex] = field(default_factory=list[MetadataIndex])
 
-    def __post_init__(self) -> None:
-        # capacity for the largest possible number: pages that are never written cost nothing
-        most, entries = (self.end - self.start) // _MIN_INDEX_BYTES, (self.end - self.start) // _MIN_ENTRY_BYTES
-        numbers, self.first_entry, self.counts, self.channels, self.kinds = _in_one_piece(
-            (np.int64, 6 * most), (np.int64, most + 1), (np.uint32, entries), (np.uint16, entries), (np.uint8, most)
-        )
-        self.numbers = numbers.reshape(6, most)
-        self.first_entry[0] = 0
-        self.totals = np.zeros(65536, np.int64)
-        self.state = np.zeros(3, np.int64)
+def _parsed(data: bytes, data_end: int) -> FileSummary:
+    """Return the summary after checking that it is consistent.
 
-    def run(self) -> None:
-        """Read every record.
+    Raises:
+        DamageError: it is inconsistent, or does not index every message.
+    """
+    offsets, sizes, end = record_places(data)
+    if end != len(data):
+        raise DamageError("a summary that ends inside a record")
+    opcodes = fields(data, offsets, "u1")
+    is_index = opcodes == Opcode.CHUNK_INDEX
+    found = _Parts(Definitions(), [], [], [])
+    places: list[tuple[int, int]] = list(zip(offsets[~is_index].tolist(), sizes[~is_index].tolist(), strict=True))
+    for at, size in places:
+        found.take(data[at], data[at + RECORD_HEAD.size : at + size])
+    table = _table(data, offsets[is_index], sizes[is_index], data_end)
+    if not found.statistics:
+        raise DamageError("a summary without statistics")
+    statistics, counts = found.statistics[-1], table.totals()
+    if not set(counts) <= set(found.definitions.channels):
+        raise DamageError("a summary that lacks channels")
+    if (
+        {channel: n for channel, n in statistics.channel_message_counts.items() if n} != counts
+        or statistics.message_count != sum(counts.values())
+        or statistics.chunk_count != len(table)
+        or statistics.metadata_count != len(found.metadata)
+        or statistics.attachment_count != len(found.attachments)
+    ):
+        raise DamageError("a summary that does not index everything")
+    return FileSummary(found.definitions, statistics, table, found.attachments, found.metadata, data_end)
 
-        Raises:
-            DamageError, LogError: the summary cannot be read.
-        """
-        position, size, checked = self.start, _PIECE_BYTES, self.start
-        while position < self.end:
-            piece = self.file.read(position, min(size, self.end - position))
-            self.crc = crc32(memoryview(piece)[checked - position :], self.crc)
-            checked, size = position + len(piece), _PIECE_BYTES
-            taken = self._take(piece)
-            position += taken
-            if not taken:  # a long or a damaged record
-                size = RECORD_HEAD.size + RECORD_HEAD.unpack_from(piece.ljust(RECORD_HEAD.size, b"\xff"))[1]
-                if size > self.end - position:
-                    raise DamageError("a summary that ends inside a record")
 
-    def _take(self, block: bytes) -> int:
-        """Read the whole records at the start of `block`; return the position of the rest."""
-        position, data = 0, np.frombuffer(block, np.uint8)
-        while len(block) - position >= RECORD_HEAD.size:
-            opcode, length = RECORD_HEAD.unpack_from(block, position)
-            if length > len(block) - position - RECORD_HEAD.size:
-                return position
-            if opcode == Opcode.CHUNK_INDEX:
-                arrays = self.numbers, self.kinds, self.first_entry, self.channels, self.counts, self.totals, self.state
-                taken = int(chunk_indexes(data[position:], *arrays))
-                if taken <= 0:
-                    raise DamageError("a chunk index that contradicts itself")
-                position += taken
-                continue
-            end = position + RECORD_HEAD.size + length
-            self._record(opcode, block[position + RECORD_HEAD.size : end])
-            position = end
-        return position
+@dataclass(frozen=True)
+class _Parts:
+    """Records of a summary other than chunk indexes."""
 
-    def _record(self, opcode: int, body: bytes) -> None:
+    definitions: Definitions
+    statistics: list[records.Statistics]
+    attachments: list[records.AttachmentIndex]
+    metadata: list[records.MetadataIndex]
+
+    def take(self, opcode: int, body: bytes) -> None:
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.definitions.take(opcode, body)
         elif opcode == Opcode.STATISTICS:
-            self.statistics = parse(records.Statistics, body)
+            self.statistics.append(parse(records.Statistics, body))
         elif opcode == Opcode.ATTACHMENT_INDEX:
             self.attachments.append(parse(records.AttachmentIndex, body))
         elif opcode == Opcode.METADATA_INDEX:
             self.metadata.append(parse(records.MetadataIndex, body))
 
-    def summary(self, data_end: int, data_crc: int, header: Header) -> FileSummary:
-        """Return the result after checking that it is consistent.
 
-        Raises:
-            DamageError: it is inconsistent, or does not index every message.
-        """
-        if self.state[2] > data_end:
-            raise DamageError("a chunk index that points beyond the data")
-        statistics, found = self.statistics, self.counts_by_channel()
-        if not set(found) <= set(self.definitions.channels):
-            raise DamageError("a summary that lacks channels")
-        if statistics is None:
-            if header.ours or not len(found):
-                raise DamageError("a summary without statistics")
-        elif (
-            {channel: n for channel, n in statistics.channel_message_counts.items() if n} != found
-            or statistics.message_count != sum(found.values())
-            or statistics.chunk_count != self.state[0]
-            or statistics.metadata_count != len(self.metadata)
-            or statistics.attachment_count != len(self.attachments)
-        ):
-            raise DamageError("a summary that does not index everything")
-        parts = self._table(), self.attachments, self.metadata
-        return FileSummary(self.definitions, statistics, *parts, data_end, data_crc)
+def _table(data: bytes, offsets: NDArray[np.int64], sizes: NDArray[np.int64], data_end: int) -> ChunkTable:
+    """Return the chunks that the chunk indexes at `offsets` list, which must be in order and must not overlap.
 
-    def counts_by_channel(self) -> dict[int, int]:
-        """Return the number of messages by channel id, without channels that have none."""
-        return {int(channel): int(self.totals[channel]) for channel in np.flatnonzero(self.totals)}
+    The number of messages of a channel follows from the length of its message index, which ends where the next begins.
 
-    def _table(self) -> ChunkTable:
-        chunks, entries = int(self.state[0]), int(self.state[1])
-        start, length, packed, unpacked, first, last = (self.numbers[k, :chunks] for k in range(6))
-        return ChunkTable(
-            start,
-            length,
-            packed,
-            unpacked,
-            self.kinds[:chunks],
-            first,
-            last,
-            _constant(chunks, NEVER_NS),
-            _constant(chunks, EVER_NS),
-            None,
-            self.first_entry[: chunks + 1],
-            self.channels[:entries],
-            self.counts[:entries],
-        )
-
-
-def _constant(count: int, value: int) -> NDArray[np.int64]:
-    return np.broadcast_to(np.array(value, np.int64), (count,))
-
-
-def _in_one_piece(*wanted: tuple[type[np.generic], int]) -> list[NDArray[Any]]:
-    """Return arrays of the given types and lengths (wider types first) in one block of memory.
-
-    One large block causes far fewer page faults than several small ones, which would cost more than all writing.
+    Raises:
+        DamageError: an index contradicts itself.
     """
-    ends = np.cumsum([np.dtype(kind).itemsize * length for kind, length in wanted])
-    parts = np.split(np.empty(ends[-1], np.uint8), ends[:-1])
-    return [part.view(kind) for part, (kind, _) in zip(parts, wanted, strict=True)]
+    at, room = offsets + RECORD_HEAD.size, sizes - RECORD_HEAD.size - _INDEX_BYTES
+    _need(room >= 0)
+    map_bytes = fields(data, at + 32, "<u4").astype(np.int64)
+    _need((map_bytes <= room) & (map_bytes % 10 == 0))
+    name_bytes = fields(data, at + 44 + map_bytes, "<u4").astype(np.int64)
+    _need(map_bytes + name_bytes <= room)  # later versions of the format may append fields
+    first, last, start, length = (_numbers(data, at + k) for k in (0, 8, 16, 24))
+    behind, packed, unpacked = (_numbers(data, at + 36 + map_bytes + k) for k in (0, 12 + name_bytes, 20 + name_bytes))
+    _need((first >= 0) & (last >= 0))
+    for column in (start, length, behind, packed, unpacked):
+        _need((column >= 0) & (column < _FAR))
+    end = start + length + behind
+    _need(start[1:] >= end[:-1])
+    if len(end) and end[-1] > data_end:
+        raise DamageError("a chunk index that points beyond the data")
+    entries = map_bytes // 10
+    first_entry = np.concatenate([[0], np.cumsum(entries)])
+    chunk = np.repeat(np.arange(len(at)), entries)
+    entry_at = at[chunk] + 36 + 10 * (np.arange(len(chunk)) - first_entry[chunk])
+    channel, index_at = fields(data, entry_at, "<u2"), _numbers(data, entry_at + 2)
+    following = np.append(index_at[1:], 0)
+    following[first_entry[1:][entries > 0] - 1] = end[entries > 0]
+    content = following - index_at - MESSAGE_INDEX_BYTES
+    _need((index_at >= (start + length)[chunk]) & (content >= 0) & (content % INDEX_ENTRY_BYTES == 0))
+    count = content // INDEX_ENTRY_BYTES
+    _need(np.bincount(chunk, count, len(at)) <= unpacked // MESSAGE_HEAD.size)
+    never, ever = (np.broadcast_to(np.array(value, np.int64), len(at)) for value in (NEVER_NS, EVER_NS))
+    bare = np.broadcast_to(np.array(False), len(at))
+    times = first, last, never, ever
+    return ChunkTable(start, length, unpacked, bare, *times, None, first_entry, channel, count, index_at)
+
+
+def _need(right: NDArray[np.bool_]) -> None:
+    if not right.all():
+        raise DamageError("a chunk index that contradicts itself")
+
+
+def _numbers(data: bytes, offsets: NDArray[np.int64]) -> NDArray[Any]:
+    """Return numbers of 8 bytes; those beyond 2^63 become negative."""
+    return fields(data, offsets, "<i8")

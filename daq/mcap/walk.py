@@ -9,14 +9,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 
 from daq.errors import LogError
 from daq.mcap.checksum import crc32
-from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap.chunks import CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import FileDamage, Held, Place
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.records import (
@@ -24,18 +22,18 @@ from daq.mcap.records import (
     AttachmentPlace,
     DamageError,
     Definitions,
+    Facts,
     Header,
     check_attachment,
     check_metadata,
     parse,
 )
-from daq.mcap.scan import loose_messages
+from daq.mcap.scan import Messages, record_places
 from daq.mcap.table import TableBuilder, TakenChunk
 from daq.mcap.window import Window, indexes_behind
-from daq.mcap.writer import MAGIC, METADATA_CRC
+from daq.mcap.writer import MAGIC, MESSAGE_HEAD
 from rig_basics.texts import number_of
 
-_NOTHING = np.empty(0, np.uint8)
 _METADATA_LIMIT_BYTES = 64 * 2**20
 _STRETCH_BYTES = 4 * PIECE_BYTES
 _DEFINED_OPCODES = frozenset(Opcode)
@@ -59,13 +57,12 @@ class Walk:
         file: the open file.
         header: program that wrote the file.
         no_summary: reason why the summary cannot be used; "" if it can.
-        trusted: positions of chunks that are used even if they are duplicates.
         progress: called with the completed share of the file, 0 … 1.
 
     Attributes:
         table: intact chunks.
         damage: damaged places.
-        definitions, metadata, attachments: other intact contents.
+        definitions, facts, attachments: other intact contents.
         finished: True if the file has its end.
         position: end of the walk, bytes.
         announced: number of messages according to an intact summary, None without one.
@@ -77,23 +74,21 @@ class Walk:
         file: FileBytes,
         header: Header,
         no_summary: str,
-        trusted: frozenset[int],
         progress: Callable[[float], None] | None,
     ) -> None:
         self.file: FileBytes = file
         self.header: Header = header
         self.no_summary: str = no_summary
-        self.trusted: frozenset[int] = trusted
         self.window: Window = Window(file, header.ours)
         self.progress = progress
         self.damage: FileDamage = FileDamage()
         self.definitions: Definitions = Definitions()
         self.table: TableBuilder = TableBuilder(self.definitions)
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.facts: list[Facts] = []
         self.attachments: list[AttachmentPlace] = []
         self.loose: list[tuple[int, int]] = []
         self.no_crc: dict[str, int] = {}
-        self.last_data: NDArray[np.uint8] = _NOTHING  # records of the last intact chunk: its message indexes follow
+        self.last: Messages | None = None  # of the last intact chunk: its message indexes follow
         self.last_counts: dict[int, int] = {}
         self.indexed: dict[int, int] = {}  # messages listed by its message indexes so far
         self.last_start: int = -1
@@ -181,8 +176,9 @@ class Walk:
         if opcode == Opcode.METADATA:
             self._metadata(position, end)
         elif opcode == Opcode.ATTACHMENT:
-            self.attachments.append(check_attachment(self.file, position, self.header.ours))
-            self._count_without_crc("attachment", int.from_bytes(self.window.view(end - 4, end), "little"))
+            place, has_crc = check_attachment(self.file, position, self.header.ours)
+            self.attachments.append(place)
+            self._count_without_crc("attachment", has_crc)
         elif opcode == Opcode.DATA_END:
             self._data_end(position, end)
         elif opcode == Opcode.FOOTER:
@@ -199,9 +195,8 @@ class Walk:
 
     def _message_indexes(self, position: int) -> int:
         """Process the message indexes of a chunk; those of a damaged chunk give its former contents."""
-        end, counts, span, wrong = indexes_behind(self.window, position, self.last_data)
-        fits = wrong < 0 and len(self.last_data) > 0
-        if fits and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
+        end, counts, span, fits = indexes_behind(self.window, position, self.last)
+        if fits and self.last and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
             self.indexed |= counts
             if self.indexed == self.last_counts:
                 self.unnamed.discard(self.last_start)
@@ -225,7 +220,7 @@ class Walk:
             elif place is None:
                 text = "message indexes before this place do not list every message of their chunk"
                 self.damage.note(position, position, text, len(self.table)).held = []
-        self.last_data, self.last_counts, self.indexed = _NOTHING, {}, {}
+        self.last, self.last_counts, self.indexed = None, {}, {}
 
     def _chunk(self, position: int, end: int) -> int:
         self.open_place = None
@@ -239,15 +234,15 @@ class Walk:
             self.left_out_end = end  # the length may be wrong: the search still begins inside the chunk …
             self.search_from = max(self.search_from, position + 1)  # … but not at this very chunk again
             return end
-        earlier = self.table.add(position, head, chunk, position in self.trusted)
+        earlier = self.table.add(position, head, chunk, trusted=not self.header.ours)
         if earlier is not None:
             text = f"the chunk of byte {earlier} again, copied over the original contents; used once"
             self.open_place = self.damage.note(position, end, text, len(self.table))
-        elif chunk.counts and self.header.ours and chunk.times[:2] != [head.start_ns, head.end_ns]:
+        elif chunk.counts and self.header.ours and chunk.times[:2] != (head.start_ns, head.end_ns):
             text = "a chunk whose head has other times than its messages; those of the messages are used"
             self.damage.note(position, end, text, len(self.table)).held = []
         self._count_without_crc("chunk", head.crc)
-        self.last_data, self.last_counts, self.last_start = chunk.data, chunk.counts, position
+        self.last, self.last_counts, self.last_start = chunk.messages, chunk.counts, position
         self.unnamed.add(position)
         return end
 
@@ -261,13 +256,16 @@ class Walk:
             raise DamageError(
                 f"a chunk of {number_of(head.packed, 'packed byte')}, more than the {CHUNK_LIMIT_BYTES} that are read"
             )
-        packed = self.window.view(position, end)[head.data_at :]
-        return self.table.count(np.frombuffer(unpack(packed, head, self.header.ours), np.uint8))
+        packed = self.window.view(position, end)[head.data_at : head.data_at + head.packed]
+        return self.table.count(unpack(packed, head, self.header.ours))
 
     def _loose(self, position: int, end: int) -> int:
         """Process messages outside of chunks, which have no CRC."""
         block = self.window.view(position, min(self.file.size, max(end, position + PIECE_BYTES)))
-        length = loose_messages(np.frombuffer(block, np.uint8))
+        offsets, sizes, length = record_places(block, Opcode.MESSAGE)
+        too_short = sizes < MESSAGE_HEAD.size
+        if too_short.any():
+            length = int(offsets[too_short.argmax()])
         if not length:
             raise DamageError("a message shorter than its own head")
         if self.loose and self.loose[-1][1] == position and position - self.loose[-1][0] < _STRETCH_BYTES:
@@ -284,9 +282,8 @@ class Walk:
                 self.damage.note(start, end, "messages outside of chunks, left out", len(self.table))
                 continue
             try:
-                chunk = self.table.count(np.frombuffer(self.file.read(start, end - start), np.uint8))
-                crc = crc32(chunk.data.data)
-                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk, trusted=True)
+                chunk = self.table.count(self.file.read(start, end - start))
+                self.table.add(start, ChunkHead(0, 0, end - start, chunk.crc, "", 0, end - start), chunk, trusted=True)
                 self._count_without_crc("series of messages", 0)
             except (DamageError, LogError) as damage:
                 self.damage.note(start, end, f"{damage}, left out", len(self.table))
@@ -295,18 +292,17 @@ class Walk:
         if end - position > _METADATA_LIMIT_BYTES:
             raise DamageError(f"metadata of {number_of(end - position, 'byte')}")
         body = bytes(self.window.view(position + RECORD_HEAD.size, end))
-        name, texts = check_metadata(body, self.header.ours)
-        self.metadata[name] = texts
-        self._count_without_crc("metadata record", 1 if METADATA_CRC in body.decode("latin-1") else 0)
+        self.facts.append(check_metadata(body, self.header.ours))
+        self._count_without_crc("metadata record", self.facts[-1].has_crc)
 
     def _count_without_crc(self, what: str, crc: int) -> None:
         if not crc:
             self.no_crc[what] = self.no_crc.get(what, 0) + 1
 
     def _data_end(self, position: int, end: int) -> None:
-        if end - position != RECORD_HEAD.size + 4:
+        if end - position < RECORD_HEAD.size + 4:
             raise DamageError("an end of the data of the wrong length")
-        crc = int.from_bytes(self.window.view(end - 4, end), "little")
+        crc = int.from_bytes(self.window.view(position + RECORD_HEAD.size, position + RECORD_HEAD.size + 4), "little")
         self._count_without_crc("data section", crc)
         if crc and crc == self.crc and not self.data_ended:  # the right CRC shows that duplicates were written
             written = self.table.keep_all()

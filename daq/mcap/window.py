@@ -12,10 +12,10 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.mcap.chunks import HEAD_BYTES, parse_head
+from daq.mcap.chunks import EVER_NS, HEAD_BYTES, parse_head
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
-from daq.mcap.scan import message_indexes
+from daq.mcap.scan import Messages
 from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
@@ -116,7 +116,7 @@ class Window:
             parse_head(self.view(position, min(end, position + HEAD_BYTES)), end - position)
         elif opcode == Opcode.MESSAGE_INDEX:
             sizes = bytes(self.view(position + 9, min(end, position + 15)))
-            return len(sizes) == 6 and int.from_bytes(sizes[2:], "little") == end - position - 15
+            return len(sizes) == 6 and int.from_bytes(sizes[2:], "little") <= end - position - 15
         elif opcode == Opcode.DATA_END:
             return self.head(end)[0] in _SUMMARY_KINDS
         return True
@@ -131,45 +131,56 @@ class Window:
 
 
 def indexes_behind(
-    window: Window, position: int, data: NDArray[np.uint8]
-) -> tuple[int, dict[int, int], tuple[int, int] | None, int]:
+    window: Window, position: int, messages: Messages | None
+) -> tuple[int, dict[int, int], tuple[int, int] | None, bool]:
     """Read the message index records from `position` on.
 
     Args:
         window: the file.
         position: end of a chunk, or start of a message index, bytes.
-        data: records of the chunk, uint8; empty if they are not available.
+        messages: those of the chunk; None if they are not available.
 
     Returns:
-        Their end; messages by channel id; first and last log time; position of the first one that does not match the
-        chunk, or -1.
+        Their end; messages by channel id; first and last log time; False if one lists something else than the chunk
+        contains.
 
     Raises:
         DamageError: a message index contradicts itself.
     """
-    counts: dict[int, int] = {}
-    times = np.array([2**64 - 1, 0], np.uint64)
-    entries = np.empty((256, 2), np.int64)
-    wrong = -1
+    counts, parts, channel_ids = dict[int, int](), [np.empty((0, 2), np.uint64)], [0]
     while position < window.file.size:
         try:
             opcode, end = window.head(position)
+            if opcode != Opcode.MESSAGE_INDEX:
+                break
+            channel_id, part = _message_index(bytes(window.view(position + RECORD_HEAD.size, end)))
         except DamageError:
             if counts:
                 break
             raise
-        if opcode != Opcode.MESSAGE_INDEX:
-            break
-        block = window.view(position, min(window.file.size, max(end, position + PIECE_BYTES // 4)))
-        taken, found, bad = map(int, message_indexes(np.frombuffer(block, np.uint8), data, entries, times))
-        if not found:
-            if counts:
-                break
-            raise DamageError("a message index of the wrong length")
-        for channel, count in entries[:found].tolist():
-            counts[channel] = counts.get(channel, 0) + count
-        if bad >= 0 and wrong < 0:
-            wrong = position + bad
-        position += taken
-    span = (int(times[0]), int(times[1])) if times[0] <= times[1] < 2**63 else None  # no CRC covers an index
-    return position, counts, span, wrong
+        counts[channel_id] = counts.get(channel_id, 0) + len(part)
+        parts.append(part)
+        channel_ids.append(channel_id)
+        position = end
+    entries = np.concatenate(parts)
+    log_ns = entries[:, 0]
+    span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) and log_ns.max() <= EVER_NS else None  # has no CRC
+    ids = np.repeat(channel_ids, [len(part) for part in parts])
+    return position, counts, span, messages is None or _fits(ids, entries, messages)
+
+
+def _message_index(body: bytes) -> tuple[int, NDArray[np.uint64]]:
+    """Return channel id, and log time and offset of each of the n messages, (n, 2)."""
+    size = int.from_bytes(body[2:6], "little")
+    if len(body) < 6 or size % 16 or size > len(body) - 6:
+        raise DamageError("a message index of the wrong length")
+    return int.from_bytes(body[:2], "little"), np.frombuffer(body, "<u8", size // 8, 6).reshape(-1, 2)
+
+
+def _fits(channel_ids: NDArray[np.int64], entries: NDArray[np.uint64], messages: Messages) -> bool:
+    """Return True if every entry is a message of the chunk."""
+    rows = np.searchsorted(messages.offsets, entries[:, 1].astype(np.int64))
+    if (rows >= len(messages)).any():
+        return False
+    same = (messages.offsets[rows] == entries[:, 1]) & (messages.log_ns[rows] == entries[:, 0])
+    return bool((same & (messages.channel_ids[rows] == channel_ids)).all())

@@ -1,9 +1,8 @@
-"""MCAP writer that works in blocks: the message records of a batch of samples are made by one compiled loop.
+"""MCAP writer that works in blocks: the message records of a batch of samples are one numpy array.
 
-The bytes follow the format's specification (https://mcap.dev/spec); rare records are encoded by the library's record
-classes. A file consists of a header, chunks of messages each followed by its message indexes, attachments and metadata
-between them, and a summary with indexes and statistics. A chunk and its indexes reach the stream in one write, so a
-file cut anywhere contains whole chunks.
+Rare records are encoded by the mcap library. A file consists of a header, chunks of messages each followed by its
+message indexes, attachments and metadata between them, and a summary with indexes and statistics. A chunk and its
+indexes reach the stream in one write, so a file cut anywhere contains whole chunks.
 
 Not thread-safe: one thread writes.
 """
@@ -18,12 +17,12 @@ from typing import Any, BinaryIO, Literal, cast
 import numpy as np
 import zstandard
 from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
 
+from daq.mcap.blocks import Runs, times
 from daq.mcap.checksum import crc32
-from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
-from daq.mcap.summary import WrittenChunk, WrittenCounts, encode_record
 from rig_basics.texts import number_of, storable
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -36,8 +35,12 @@ LIBRARY = "self-balancing rotor rig, log layout 2"
 in the header, had none for metadata; its files are read like those of other writers."""
 TIMES = "times"
 """Name of the metadata record that contains the largest differences between sample times and log times."""
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+"""Opcode, length, channel id, sequence, log time and publish time in front of a message."""
 _ZSTD_LEVEL = 3  # 10 % smaller files than level 1 in 20 % more time; higher levels take twice the time for no gain
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
+_INDEX_HEAD = struct.Struct("<BQHI")
+_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
@@ -49,9 +52,11 @@ def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
     return f"{crc32(text.encode()):08x}"
 
 
-def compile_writer() -> None:
-    """Load or compile the compiled loops: takes seconds once per computer, and must not happen while samples arrive."""
-    compile_loops()
+def encode_record(record: records.McapRecord) -> bytes:
+    """Return a record as it is written to the file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
 
 
 @dataclass(frozen=True)
@@ -107,20 +112,28 @@ class BlockWriter:
         self._library = library
         self._offset = self._crc = 0
         self._closed = ""  # reason why nothing can be written any more
-        self._chunk = OpenChunk(chunk_bytes)
-        self._restated_bytes = 0  # repeated definitions in the open chunk; these alone do not make a chunk
-        self._definitions = b""
-        self._summary = WrittenCounts()
+        self._parts: list[bytes] = []  # records of the open chunk
+        self._size = 0
+        self._messages = Runs()  # among them
+        self._is_filled = False  # repeated definitions alone do not make a chunk
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
+        self._blocks: dict[int, _Block] = {}  # by channel
+        self._counts: dict[int, int] = {}
+        self._span = (2**64 - 1, 0)
+        self._late = self._early = 0  # largest log time − publish time, and publish time − log time, ns
+        self._chunk_indexes: list[bytes] = []  # encoded: an hour has 72 000
+        self._attachment_indexes: list[records.AttachmentIndex] = []
+        self._metadata_indexes: list[records.MetadataIndex] = []
 
     def start(self, profile: str = "") -> None:
         """Write magic and header; call it once, first."""
-        compile_writer()
         self._write(MAGIC + encode_record(records.Header(profile, self._library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add a message schema; returns its id."""
-        schema = records.Schema(id=_free_id(self._summary.schemas), name=name, encoding=encoding, data=data)
-        self._define(schema)
+        schema = records.Schema(id=_free_id(self._schemas), name=name, encoding=encoding, data=data)
+        self._add_schema(schema)
         return schema.id
 
     def register_channel(
@@ -132,13 +145,13 @@ class BlockWriter:
             ValueError: the schema is not registered.
         """
         channel = records.Channel(
-            id=_free_id(self._summary.channels),
+            id=_free_id(self._channels),
             topic=topic,
             message_encoding=message_encoding,
             schema_id=schema_id,
             metadata=dict(metadata or {}),
         )
-        self._define(channel)
+        self._add_channel(channel)
         return channel.id
 
     def adopt(self, schemas: Iterable[records.Schema], channels: Iterable[records.Channel]) -> None:
@@ -148,10 +161,12 @@ class BlockWriter:
             ValueError: something is registered already, an id is invalid or occurs twice, or a channel's schema is not
                 among them.
         """
-        if self._summary.schemas or self._summary.channels:
+        if self._schemas or self._channels:
             raise ValueError("expected to adopt definitions before any is registered: call adopt right after start")
-        for definition in [*schemas, *channels]:
-            self._define(definition)
+        for schema in schemas:
+            self._add_schema(schema)
+        for channel in channels:
+            self._add_channel(channel)
 
     def add_block(
         self,
@@ -174,14 +189,26 @@ class BlockWriter:
             ValueError: unknown channel, negative times, values that are not integers, or different lengths.
         """
         self._check_channel(channel_id)
-        block = MessageBlock(messages, log_time_ns, publish_time_ns, sequence)
+        if messages.ndim != 1:
+            raise ValueError(f"expected messages of shape (n,), got {messages.shape}")
+        count, size = len(messages), MESSAGE_HEAD.size + messages.dtype.itemsize
+        log, publish = _column("log times", log_time_ns, count), _column("publish times", publish_time_ns, count)
+        numbers = _column("sequences", sequence, count)
+        least = min(of.item() if of.size == 1 else int(of.min(initial=0)) for of in (log, publish))
+        if least < 0:
+            raise ValueError(f"expected log and publish times in ns since 1970, got {least}")
+        block = self._blocks.get(channel_id)
+        if block is None or block.record_bytes != size:
+            block = self._blocks[channel_id] = _Block(channel_id, size, max(1, self._chunk_bytes // size))
         done = 0
-        while done < block.count:
-            self._make_room(block.record_bytes)
-            room = max(1, (self._chunk_bytes - self._chunk.size) // block.record_bytes)
-            count = min(room, block.count - done)
-            self._chunk.add_messages(channel_id, block, done, count)
-            done += count
+        while done < count:
+            self._make_room(size)
+            rows = min(max(1, (self._chunk_bytes - self._size) // size), count - done)
+            part = slice(done, done + rows)
+            columns = [column if column.size == 1 else column[part] for column in (log, publish, numbers)]
+            self._messages.add(self._size, rows, size, channel_id)
+            self._add(block.filled(rows, columns, messages[part]))
+            done += rows
 
     def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes) -> None:
         """Add one message of any size; sequence is taken modulo 2**32.
@@ -192,8 +219,11 @@ class BlockWriter:
         self._check_channel(channel_id)
         if not 0 <= min(log_time_ns, publish_time_ns) <= max(log_time_ns, publish_time_ns) < 2**64:
             raise ValueError(f"expected times in ns since 1970, got {log_time_ns} and {publish_time_ns}")
-        self._make_room(RECORD_HEAD_BYTES + len(data))
-        self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, data)
+        size = MESSAGE_HEAD.size + len(data)
+        self._make_room(size)
+        fields = channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns
+        self._messages.add(self._size, 1, size, channel_id)
+        self._add(MESSAGE_HEAD.pack(Opcode.MESSAGE, size - 9, *fields) + data)
 
     def copy_chunk(self, chunk: CopiedChunk) -> None:
         """Add a whole chunk of another file unchanged, with a new message index; an open chunk is closed first.
@@ -209,35 +239,43 @@ class BlockWriter:
             raise ValueError(
                 f"expected four arrays (n,), got {ids.shape}, {log.shape}, {publish.shape} and {places.shape}"
             )
-        for channel_id in np.unique(ids):
-            self._check_channel(int(channel_id))
-        if len(places) and places.max() + RECORD_HEAD_BYTES > chunk.unpacked:
+        for channel_id in np.unique(ids).tolist():
+            self._check_channel(channel_id)
+        if len(places) and places.max() + MESSAGE_HEAD.size > chunk.unpacked:
             raise ValueError(f"expected messages within {number_of(chunk.unpacked, 'byte')}, got one at {places.max()}")
         self._close_chunk()
-        late, early = (int(np.where(a > b, a - b, 0).max(initial=0)) for a, b in ((log, publish), (publish, log)))
-        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, places), (late, early))
+        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, publish, places))
 
-    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Add a named table of texts; its checksum is added under the key `METADATA_CRC`.
+    def add_metadata(self, name: str, metadata: Mapping[str, str], checksum: bool = True) -> None:
+        """Add a named table of texts.
+
+        Args:
+            checksum: add its checksum under the key `METADATA_CRC`.
 
         Raises:
             ValueError: the table contains this key already.
         """
         self._check_open()
-        if METADATA_CRC in metadata:
-            raise ValueError(f"metadata {name!r}: expected no key {METADATA_CRC!r}: it is the record's own checksum")
         table = {storable(key): storable(text) for key, text in metadata.items()}
-        table[METADATA_CRC] = metadata_crc(name, table)
+        if checksum:
+            if METADATA_CRC in table:
+                raise ValueError(
+                    f"metadata {name!r}: expected no key {METADATA_CRC!r}: it is the record's own checksum"
+                )
+            table[METADATA_CRC] = metadata_crc(name, table)
         record = encode_record(records.Metadata(name=name, metadata=table))
-        self._summary.add_metadata(records.MetadataIndex(self._offset, len(record), name))
+        self._metadata_indexes.append(records.MetadataIndex(self._offset, len(record), name))
         self._write(record)
 
-    def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
-        """Add an attached file."""
+    def add_attachment(
+        self, name: str, media_type: str, data: bytes, log_time_ns: int, create_time_ns: int = 0
+    ) -> None:
+        """Add an attached file; times in ns since 1970, create time 0 if it is unknown."""
         self._check_open()
-        record = encode_record(records.Attachment(0, log_time_ns, name, media_type, data))
-        index = records.AttachmentIndex(self._offset, len(record), log_time_ns, 0, len(data), name, media_type)
-        self._summary.add_attachment(index)
+        record = encode_record(records.Attachment(create_time_ns, log_time_ns, name, media_type, data))
+        times = log_time_ns, create_time_ns
+        index = records.AttachmentIndex(self._offset, len(record), *times, len(data), name, media_type)
+        self._attachment_indexes.append(index)
         self._write(record)
 
     def flush(self) -> None:
@@ -248,12 +286,43 @@ class BlockWriter:
     def finish(self) -> None:
         """Write the times, the summary and the footer; nothing may be added afterwards."""
         self._close_chunk()
-        times = {"most_late_ns": self._summary.most_late, "most_early_ns": self._summary.most_early}
-        self.add_metadata(TIMES, {name: str(value) for name, value in times.items()})
+        self.add_metadata(TIMES, {"most_late_ns": str(self._late), "most_early_ns": str(self._early)})
         self._write(encode_record(records.DataEnd(self._crc)))
-        self._write(self._summary.encode(self._offset) + MAGIC)
+        self._write(self._summary())
         self._closed = "the file is finished"
         self._stream.flush()
+
+    def _summary(self) -> bytes:
+        """Return summary, summary offsets, footer and the end of the file."""
+        statistics = records.Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._counts.values()),
+            message_end_time=self._span[1],
+            message_start_time=min(self._span),
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas),
+        )
+        groups: list[Iterable[bytes]] = [
+            map(encode_record, self._schemas.values()),
+            map(encode_record, self._channels.values()),
+            [encode_record(statistics)],
+            self._chunk_indexes,
+            map(encode_record, self._attachment_indexes),
+            map(encode_record, self._metadata_indexes),
+        ]
+        summary, offsets = bytearray(), b""
+        for group in groups:
+            start = len(summary)
+            summary += b"".join(group)
+            if len(summary) > start:
+                place = self._offset + start, len(summary) - start
+                offsets += encode_record(records.SummaryOffset(Opcode(summary[start]), *place))
+        footer = records.Footer(self._offset, self._offset + len(summary), 0)
+        summary += offsets + encode_record(footer)[:-4]
+        return bytes(summary) + crc32(summary).to_bytes(4, "little") + MAGIC
 
     def _check_open(self) -> None:
         if self._closed:
@@ -261,82 +330,82 @@ class BlockWriter:
 
     def _check_channel(self, channel_id: int) -> None:
         self._check_open()
-        if channel_id not in self._summary.channels:
-            known = sorted(self._summary.channels)
+        if channel_id not in self._channels:
+            known = sorted(self._channels)
             raise ValueError(f"expected a channel of {known}, got {channel_id}: register it first")
 
-    def _define(self, record: records.Schema | records.Channel) -> None:
-        """Add a schema or channel to the open chunk, and keep it for repetition."""
+    def _add_schema(self, schema: records.Schema) -> None:
+        self._check_id(schema, self._schemas, 1)
+        self._schemas[schema.id] = schema
+        self._add(encode_record(schema))
+
+    def _add_channel(self, channel: records.Channel) -> None:
+        if channel.schema_id != 0 and channel.schema_id not in self._schemas:
+            raise ValueError(
+                f"expected a registered schema for {channel.topic!r}, got id {channel.schema_id}: register it first"
+            )
+        self._check_id(channel, self._channels, 0)
+        self._channels[channel.id] = channel
+        self._add(encode_record(channel))
+
+    def _check_id(self, record: records.Schema | records.Channel, known: Mapping[int, Any], lowest: int) -> None:
         self._check_open()
-        known: dict[int, Any]
-        if isinstance(record, records.Schema):
-            known, lowest = self._summary.schemas, 1
-        else:
-            known, lowest = self._summary.channels, 0
-            if record.schema_id != 0 and record.schema_id not in self._summary.schemas:
-                raise ValueError(
-                    f"expected a registered schema for {record.topic!r}, got id {record.schema_id}: register it first"
-                )
         if record.id in known or not lowest <= record.id <= 0xFFFF:
             raise ValueError(f"expected a new id of {lowest} … 65535, got {record.id} of {record}")
-        data = encode_record(record)
-        known[record.id] = record
-        self._definitions += data
-        self._chunk.append(data)
+
+    def _add(self, data: bytes) -> None:
+        """Add records to the open chunk."""
+        self._parts.append(data)
+        self._size += len(data)
+        self._is_filled = True
 
     def _make_room(self, record_bytes: int) -> None:
         """Close the open chunk if this record would exceed the size of a chunk."""
-        if self._chunk.size + record_bytes > self._chunk_bytes:
+        if self._size + record_bytes > self._chunk_bytes:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
         """Write the open chunk with its message indexes, if it is not empty."""
         self._check_open()
-        if self._chunk.size == self._restated_bytes:
+        if not self._is_filled:
             return
-        data = self._chunk.records
-        late, early = self._chunk.extremes.tolist()
-        packed = self._compressor.compress(data) if self._compressor else None
-        name = "zstd" if self._compressor else ""
-        self._put_chunk(packed, name, len(data), crc32(data), self._chunk.index, (late, early))
-        self._chunk.clear()
-        self._restated_bytes = 0
-        if self._summary.chunk_count % RESTATE_EVERY == 0:
-            self._chunk.append(self._definitions)
-            self._restated_bytes = self._chunk.size
+        data = b"".join(self._parts)
+        packed, name = (self._compressor.compress(data), "zstd") if self._compressor else (data, "")
+        offsets, _ = self._messages.places()
+        messages = self._messages.channel_ids(), *times(data, offsets), offsets
+        self._put_chunk(packed, name, len(data), crc32(data), messages)
+        self._parts, self._size, self._messages = [], 0, Runs()
+        if len(self._chunk_indexes) % RESTATE_EVERY == 0:
+            self._add(b"".join(map(encode_record, self._schemas.values())))
+            self._add(b"".join(map(encode_record, self._channels.values())))
+        self._is_filled = False
 
     def _put_chunk(
-        self,
-        packed: bytes | None,
-        compression: str,
-        unpacked: int,
-        crc: int,
-        messages: tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.uint64]],
-        extremes: tuple[int, int],
+        self, packed: bytes, compression: str, unpacked: int, crc: int, messages: tuple[NDArray[Any], ...]
     ) -> None:
-        """Write a chunk and the message indexes of `messages` (channel ids, log times, offsets).
+        """Write a chunk and its message indexes.
 
-        If `packed` is None, the content is the open chunk's records, uncompressed.
+        Args:
+            messages: channel ids, log times, publish times and offsets of its n messages, (n,) each.
         """
-        log_times, start, name = messages[1], self._offset, compression.encode()
-        times = (int(log_times.min()), int(log_times.max())) if len(log_times) else (0, 0)
-        size = unpacked if packed is None else len(packed)
-        length = _CHUNK_HEAD.size + len(name) + 8 + size
-        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, *times, unpacked, crc, len(name))
-        head += name + size.to_bytes(8, "little")
-        indexes, starts, counts = message_indexes(*messages)
-        places = {channel_id: start + length + index_start for channel_id, index_start in starts.items()}
-        if packed is None:
-            self._write(self._chunk.framed(head, indexes))
-        else:
-            self._write(b"".join((head, packed, indexes)))
-        self._summary.add_chunk(
-            WrittenChunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
-        )
-        self._summary.most_late = max(self._summary.most_late, extremes[0])
-        self._summary.most_early = max(self._summary.most_early, extremes[1])
+        ids, log, publish, places = messages
+        name = compression.encode()
+        length = _CHUNK_HEAD.size + len(name) + 8 + len(packed)
+        indexes, starts = _message_indexes(ids, log, places, self._counts)
+        offsets = {channel_id: self._offset + length + start for channel_id, start in starts.items()}
+        first = last = 0
+        if len(log):
+            first, last = int(log.min()), int(log.max())
+            self._span = min(self._span[0], first), max(self._span[1], last)
+            both = np.minimum(log, publish)
+            self._late = max(self._late, int((log - both).max()))
+            self._early = max(self._early, int((publish - both).max()))
+        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, first, last, unpacked, crc, len(name))
+        place = length, self._offset, compression, len(packed), last, len(indexes), offsets, first, unpacked
+        self._chunk_indexes.append(encode_record(records.ChunkIndex(*place)))
+        self._write(b"".join((head, name, len(packed).to_bytes(8, "little"), packed, indexes)))
 
-    def _write(self, data: bytes | memoryview) -> None:
+    def _write(self, data: bytes) -> None:
         self._check_open()
         self._closed = "writing it failed before"  # reset below: data after an incomplete record are unreadable
         written = cast("int | None", self._stream.write(data))  # None: an unbuffered stream that would block
@@ -347,6 +416,63 @@ class BlockWriter:
         self._closed = ""
         self._offset += len(data)
         self._crc = crc32(data, self._crc)
+
+
+def _message_indexes(
+    ids: NDArray[Any], log: NDArray[np.uint64], places: NDArray[Any], counts: dict[int, int]
+) -> tuple[bytes, dict[int, int]]:
+    """Return the message index records of a chunk, one per channel, entries in order of log time; add to `counts`.
+
+    Returns:
+        The concatenated records, and the offset of each channel's record.
+    """
+    entries = np.empty(len(ids), _INDEX_ENTRY)
+    entries["log_time"], entries["offset"] = log, places
+    order = np.argsort(ids, kind="stable")
+    if (log[1:] < log[:-1]).any():
+        order = np.lexsort((log, ids))
+    data, numbers = entries[order].tobytes(), np.bincount(ids)
+    parts, starts, at, end = list[bytes](), dict[int, int](), 0, 0
+    for channel_id in np.flatnonzero(numbers).tolist():
+        count = int(numbers[channel_id])
+        size = count * _INDEX_ENTRY.itemsize
+        parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel_id, size), data[at : at + size]]
+        starts[channel_id], at, end = end, at + size, end + _INDEX_HEAD.size + size
+        counts[channel_id] = counts.get(channel_id, 0) + count
+    return b"".join(parts), starts
+
+
+class _Block:
+    """Records of one channel and one size, filled again for each block; what is equal in all is written once."""
+
+    def __init__(self, channel_id: int, record_bytes: int, rows: int) -> None:
+        self.record_bytes = record_bytes
+        size = record_bytes - MESSAGE_HEAD.size
+        fields = [("head", "V11"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8"), ("message", f"V{size}")]
+        self._records = np.empty(rows, fields if size else fields[:-1])
+        self._records["head"] = np.void(MESSAGE_HEAD.pack(Opcode.MESSAGE, record_bytes - 9, channel_id, 0, 0, 0)[:11])
+        self._columns = [self._records[name] for name in ("log", "publish", "sequence")]
+        self._messages = self._records["message"] if size else None
+
+    def filled(self, count: int, columns: list[NDArray[np.int64]], messages: NDArray[Any]) -> bytes:
+        """Return `count` records; log times, publish times and sequences are one for all or (count,)."""
+        for column, values in zip(self._columns, columns, strict=True):
+            column[:count] = values
+        if self._messages is not None:
+            self._messages[:count] = np.ascontiguousarray(messages).view(self._messages.dtype)
+        return self._records[:count].tobytes()
+
+
+def _column(what: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Return one value or `count` of them as signed numbers of 64 bits.
+
+    Raises:
+        ValueError: another shape, or values that are not integers.
+    """
+    array: NDArray[Any] = np.asarray(values)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (1,), (count,)):
+        raise ValueError(f"expected {what} as one integer or {count}, got {array.dtype} of shape {array.shape}")
+    return array.astype(np.int64, copy=False)
 
 
 def _free_id(known: Mapping[int, Any]) -> int:

@@ -11,7 +11,7 @@ from numba.core.dispatcher import Dispatcher
 from daq.acquisition.compiled import compile_acquisition
 
 compile_acquisition()
-names = ["daq.clock", "daq.mcap.open_chunk", "daq.mcap.writer"]
+names = ["daq.clock"]
 for room in ("daq.acquisition", "daq.guided_tests", "daq.signals"):
     names += [found.name for found in pkgutil.walk_packages(importlib.import_module(room).__path__, room + ".")]
 modules = [importlib.import_module(name) for name in names]

@@ -12,7 +12,7 @@ from daq import channels as ch
 from daq.log import open_log
 from daq.log.recover import recover
 from daq.mcap.file_bytes import FileBytes
-from daq.mcap.records import DamageError, Header
+from daq.mcap.records import DamageError
 from daq.mcap.summary_reader import read_summary
 from daq.mcap.writer import LIBRARY, MAGIC, BlockWriter
 from tests.effort import cases
@@ -405,5 +405,5 @@ def test_a_summary_as_long_as_memory_is_damage(path, has_data_end):
     file = Huge(path)
     file.size = 2**60
     with pytest.raises(DamageError, match="larger than the available memory" if has_data_end else "no end of the data"):
-        read_summary(file, Header(LIBRARY, True))
+        read_summary(file)
     file.close()

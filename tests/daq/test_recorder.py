@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import subprocess
@@ -248,10 +249,13 @@ def test_of_two_that_begin_at_once_the_later_sees_what_the_earlier_has_finished(
     """The name is looked at again once the .part is ours: in between the other may have come to its end."""
     path = tmp_path / "run.mcap"
 
-    def other_ends():
-        path.write_bytes(b"finished")
+    opened = io.FileIO
 
-    monkeypatch.setattr("daq.log.file.compile_writer", other_ends)
+    def other_ends(part, mode):
+        path.write_bytes(b"finished")
+        return opened(part, mode)
+
+    monkeypatch.setattr("daq.log.file.io.FileIO", other_ends)
     with pytest.raises(LogError, match="never overwritten"):
         begin(path)
     assert path.read_bytes() == b"finished"

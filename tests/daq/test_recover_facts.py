@@ -15,8 +15,8 @@ from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
 from daq.mcap.records import AttachmentPlace, DamageError
 from daq.mcap.writer import LIBRARY, MAGIC
-from tests.daq.test_mcap_scan import attachment
-from tests.daq.test_mcap_walk import (
+from tests.daq.mcap.test_scan import attachment
+from tests.daq.mcap.test_walk import (
     FRONT,
     INNER,
     LOOSE,
@@ -103,11 +103,19 @@ def test_facts_of_the_old_log_keep_their_texts(tmp_path: Path) -> None:
     )
     found = recover(made(tmp_path, facts, GOOD))
     contents = walk(FileBytes(found.path))
-    assert contents.metadata["run"] == {"crc32 of origin": "mine", "a": "b"}
+    assert contents.metadata["run"] == {"crc32": "mine", "a": "b"}
     assert contents.metadata["recovered earlier"] == {"c": "d"}
     assert contents.metadata["summary"] == {"e": "f"}
     assert contents.metadata["recovered"]["origin"] == "old.mcap"
     assert contents.missing == []
+
+
+def test_facts_keep_their_checksum_if_the_header_is_lost(tmp_path: Path) -> None:
+    part = tmp_path / "a.mcap"
+    part.write_bytes(MAGIC + metadata("run", {"a": "b"}, ours=True) + metadata("note", {"c": "d"}))
+    with open_log(recover(part).path) as new:
+        assert new.metadata["run"] == {"a": "b"}
+        assert ["1 metadata record without a CRC" in str(place) for place in new.verify()] == [True]
 
 
 def test_an_attachment_that_is_not_read_as_before_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
