@@ -73,7 +73,7 @@ def press_ctrl_c(process: subprocess.Popen[bytes], folder: Path) -> str:
             time.sleep(0.01)
     printed = (folder / "stderr").read_text()
     assert code == 130, printed
-    assert "Traceback" not in printed
-    assert "Fatal Python error" not in printed
-    assert printed.splitlines()[-1] == "rig: interrupted"
+    assert "Traceback" not in printed, printed
+    assert "Fatal Python error" not in printed, printed
+    assert printed.splitlines()[-1] == "rig: interrupted", printed
     return printed
