@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import multiprocessing
 import socket
 import threading
 from collections.abc import Callable, Sequence
@@ -18,7 +17,6 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from live.child_process import ignore_terminal_signals
 from live.entrance import Connections, Entrance
 from live.errors import CommandRefused, LiveError
 from live.guard import Access
@@ -26,7 +24,7 @@ from live.handover import SocketSender
 from live.messages import Facts
 from rig_basics.errors import RigError
 from rig_basics.ignoring import ignoring
-from rig_basics.log_output import show_log_as_parent
+from rig_basics.worker_processes import WORKERS
 
 _START_S, _END_S = 60.0, 5.0
 _log = logging.getLogger(__name__)
@@ -73,8 +71,6 @@ def run_entrance(
     pipe: Connection, listening: socket.socket, token: str, hosts: Sequence[str], connections: Connection, page_pid: int
 ) -> None:
     """Run the entrance's process until the session's process ends it."""
-    show_log_as_parent()
-    ignore_terminal_signals()
     orders = _Orders(pipe)
     page = SocketSender(connections, page_pid)
     entrance = Entrance(listening, Access(token, hosts), orders.place, page.offer, orders.report)
@@ -108,12 +104,11 @@ class EntranceProcess:
         page_pid: int,
         stop: Callable[[], Facts],
     ) -> None:
-        context = multiprocessing.get_context("spawn")
         self.connections: Connections = {}
         self._stop, self._sending = stop, threading.Lock()
-        self._ours, self._theirs = context.Pipe()
+        self._ours, self._theirs = WORKERS.Pipe()
         arguments = (self._theirs, listening, token, tuple(hosts), connections, page_pid)
-        self._process = context.Process(target=run_entrance, args=arguments, name="live page: entrance", daemon=True)
+        self._process = WORKERS.Process(target=run_entrance, args=arguments, name="live page: entrance", daemon=True)
         self._thread = threading.Thread(target=self._receive, name="stop", daemon=True)
 
     @property

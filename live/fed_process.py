@@ -7,7 +7,6 @@ into a pipe. It waits while the process does not read the pipe. A second thread 
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
@@ -19,6 +18,7 @@ from daq.acquisition.session import Session
 from daq.items import DeviceEvent
 from live.errors import LiveError
 from rig_basics.ignoring import ignoring
+from rig_basics.worker_processes import WORKERS
 
 _Item = TypeVar("_Item")
 _INTERVAL_S = 1 / 30
@@ -45,10 +45,9 @@ class FedProcess(ABC):
     def __init__(self, name: str, label: str, run: Callable[..., None], args: tuple[Any, ...]) -> None:
         self.offered: dict[str, Any] = {}
         self._label = label
-        context = multiprocessing.get_context("spawn")
-        self._ours, theirs = context.Pipe()
+        self._ours, theirs = WORKERS.Pipe()
         self._theirs: Connection = theirs
-        self._process = context.Process(target=run, args=(theirs, *args), name=name, daemon=True)
+        self._process = WORKERS.Process(target=run, args=(theirs, *args), name=name, daemon=True)
         self._sending = threading.Lock()
         self._ending = threading.Event()
         self._session: Session | None = None

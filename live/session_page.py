@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -23,6 +22,7 @@ from live.port import bound, page_address
 from live.signals import Signals
 from live.watched import run_page
 from rig_basics.errors import RigError
+from rig_basics.worker_processes import WORKERS
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -101,7 +101,7 @@ class LivePage(FedProcess):
         port: int = 0,
     ) -> None:
         self._token, self._place, self._url = new_token(), (host, port), ""
-        self._accepted, given = multiprocessing.get_context("spawn").Pipe()
+        self._accepted, given = WORKERS.Pipe()
         self._hosts: list[str] = []  # known to the page's process too, by reference, once the port is bound
         page = (rig, identified, source, rate, title, self._token, self._hosts, given)
         super().__init__("live page", "the live page", run_page, page)

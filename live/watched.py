@@ -13,7 +13,6 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from live.child_process import ignore_terminal_signals
 from live.errors import CommandRefused
 from live.followers import compile_followers
 from live.handover import received_sockets
@@ -21,7 +20,6 @@ from live.model import LiveModel
 from live.serving import PageServer
 from live.signals import Signals
 from live.source import Facts
-from rig_basics.log_output import show_log_as_parent
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -180,8 +178,6 @@ def run_page(
     connections: Connection,
 ) -> None:
     """Run the page's process: serve the connections of a SocketSender until the other side closes the pipe."""
-    show_log_as_parent()
-    ignore_terminal_signals()
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
     model = LiveModel(rig, identified, source)
     if rig.roles.angles is not None:

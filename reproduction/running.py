@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
-from typing import Any
 
 from dynamics.compiled_code import keep_compiled_code
 from reproduction.catalogue import ITEMS, Item
 from reproduction.files import Written, read_item, write_failure, write_item
 from reproduction.workspace import Workspace
+from rig_basics.worker_processes import WORKERS, worker_pool
 
 _POLL_S = 0.5  # interval at which ended items are collected
+_Ended = SimpleQueue[tuple[float, str]]  # expected duration of an item, s, and its number
+_own: list[_Ended] = []  # one, in a process that reproduces
 Progress = Callable[[float, str], None]
 """Called with the completed share, 0 … 1, and the item completed last."""
 
@@ -47,27 +49,24 @@ def reproduce(items: Sequence[Item], folder: Path, jobs: int = 1, progress: Prog
 
 def _in_parallel(items: Sequence[Item], folder: Path, jobs: int, notify: Progress) -> None:
     total, done = sum(item.seconds for item in items), 0.0
-    context = multiprocessing.get_context("spawn")
-    with (
-        context.Manager() as manager,
-        ProcessPoolExecutor(min(jobs, len(items)), mp_context=context, initializer=keep_compiled_code) as pool,
-    ):
-        ended = manager.Queue()
-        parts = _groups(items)
-        running: set[Future[None]] = {pool.submit(_in_sequence, part, folder, ended) for part in parts}
-        try:
-            while running:
-                over = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED).done
-                running -= over
-                while not ended.empty():
-                    seconds, number = ended.get()
-                    done += seconds
-                    notify(done / total, number)
-                for future in over:
-                    future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    ended: _Ended = WORKERS.SimpleQueue()
+    with worker_pool(min(jobs, len(items)), _begin, ended) as pool:
+        running: set[Future[None]] = {pool.submit(_in_sequence, part, folder) for part in _groups(items)}
+        while running:
+            over = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED).done
+            running -= over
+            while not ended.empty():
+                seconds, number = ended.get()
+                done += seconds
+                notify(done / total, number)
+            for future in over:
+                future.result()
+
+
+def _begin(ended: _Ended) -> None:
+    """Prepare a process before its first item."""
+    keep_compiled_code()
+    _own[:] = [ended]
 
 
 def _groups(items: Sequence[Item]) -> list[list[str]]:
@@ -79,7 +78,8 @@ def _groups(items: Sequence[Item]) -> list[list[str]]:
     return [[item.id for item in group] for group in ordered]
 
 
-def _in_sequence(numbers: list[str], folder: Path, ended: Any) -> None:
+def _in_sequence(numbers: list[str], folder: Path) -> None:
+    (ended,) = _own
     for number in numbers:
         item = next(each for each in ITEMS if each.id == number)
         _reproduce_one(item, folder, _ignore_share)

@@ -25,11 +25,12 @@ from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import EVERY_OPTION
-from rig_cli.signals import dropped, end_at_next_signal, interrupt_at_signals
+from rig_cli.signals import dropped, end_at_next_signal, end_without_threads, interrupt_at_signals
 from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
+_INTERRUPTED = 130
 _LOG_LEVEL = "--log-level"
 _THIS_PROGRAM = Group("This program", sort_key=len(GROUPS))
 _USE_COMPILED = {
@@ -177,8 +178,8 @@ def _carried_out(arguments: list[str]) -> int:
 def _interrupted(by: str) -> int:
     text = f"interrupted{f' by {by}' if by else ''}"
     notify(f"rig: {text}")
-    answer.give_error(text, 130)
-    return 130
+    answer.give_error(text, _INTERRUPTED)
+    return _INTERRUPTED
 
 
 def _words(error: Exception) -> str:
@@ -192,7 +193,7 @@ def _words(error: Exception) -> str:
 def _exit_code(error: Exception) -> int | None:
     """Return 2 for bad input, 3 for hardware, I/O and memory errors, None for an unexpected error."""
     if isinstance(error, OperatorStop):
-        return 130
+        return _INTERRUPTED
     hardware = isinstance(error, AcquisitionError | LiveError) and not isinstance(error, LogError)
     study = isinstance(error, StudyError) and not isinstance(error, StudyInputError | EngineMissing | OtherSoftware)
     unfinished = isinstance(error, ReproductionError) and not isinstance(error, UnknownItem)
@@ -210,6 +211,8 @@ def main() -> None:
     crash.watch_threads(sys.argv[1:])
     code = run(sys.argv[1:])
     end_at_next_signal(code)
+    if code == _INTERRUPTED:
+        end_without_threads(code)
     sys.exit(code)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
+import threading
 
 dropped: list[str] = []
 """Names of the signals whose interruption was dropped, "" for Ctrl-C: a callback of a library can raise no error. The
@@ -28,6 +30,17 @@ def end_at_next_signal(code: int) -> None:
     """End the program with this code at the next signal, while only the interpreter is not yet ended."""
     for number in (signal.SIGINT, *_INTERRUPTING):
         signal.signal(number, lambda number, frame: os._exit(code))
+
+
+def end_without_threads(code: int) -> None:
+    """End the program with this code at once, if threads still compute after an interruption.
+
+    Otherwise the interpreter would wait for them, and compiled code cannot be interrupted. As daemon threads they would
+    run in an interpreter that has ended. What is registered for the end of the program is done.
+    """
+    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        atexit._run_exitfuncs()  # pyright: ignore[reportPrivateUsage] (only the end of the interpreter does it otherwise)
+        os._exit(code)
 
 
 def note_dropped(fault: sys.UnraisableHookArgs) -> None:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import multiprocessing
 import queue
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing.connection import Connection
+from concurrent.futures import Future
 from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rig_basics.lifeline import end_with_parent
+from rig_basics.worker_processes import WORKERS, worker_pool
 from rig_configs.schema import Rig
 
 _worker: dict[str, Any] = {}  # state of the worker process between two jobs of one campaign
@@ -25,9 +23,8 @@ def _notify(text: str) -> None:
     _worker["messages"].put(text)
 
 
-def _begin_work(lifeline: Connection, messages: Queue[str]) -> None:
-    """Prepare the worker before its first job: end with the parent, and send progress messages to a queue."""
-    end_with_parent(lifeline)
+def _begin_work(messages: Queue[str]) -> None:
+    """Prepare the worker before its first job: send progress messages to a queue."""
     _worker["messages"] = messages
 
 
@@ -97,11 +94,9 @@ class Workbench:
     """One worker process that carries out jobs in the order given."""
 
     def __init__(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._messages: Queue[str] = context.Queue()
-        ours, theirs = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(1, context, _begin_work, (ours, self._messages))
-        self._lifeline = theirs
+        self._messages: Queue[str] = WORKERS.Queue()
+        self._ending = contextlib.ExitStack()
+        self._pool = self._ending.enter_context(worker_pool(1, _begin_work, self._messages))
         self._pool.submit(_warm_up)
 
     def identify(self, rig: Rig, logs: list[Path], out: Path) -> Future[dict[str, Any]]:
@@ -137,5 +132,4 @@ class Workbench:
 
     def close(self) -> None:
         """End the worker and cancel its jobs."""
-        self._lifeline.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._ending.close()

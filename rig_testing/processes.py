@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import pickle
-import signal
 from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import TypeVar
 
-from rig_basics.lifeline import end_with_parent
-from rig_basics.log_output import show_log_as_parent
+from rig_basics.worker_processes import worker_pool
 from rig_testing.subject import Subject
 
 A = TypeVar("A")
@@ -34,7 +28,7 @@ def each_answer(part: Callable[[Subject, int], A], subject: Subject, numbers: Se
         yield from map(partial(part, subject), numbers)
         return
     tasks = [numbers[i : i + _PER_TASK] for i in range(0, len(numbers), _PER_TASK)]
-    with _processes(subject.processes, content) as pool:
+    with worker_pool(subject.processes, _begin, content) as pool:
         for answers in pool.map(partial(_answers, part), tasks):
             yield from answers
 
@@ -47,28 +41,7 @@ def _sendable(subject: Subject) -> bytes | None:
         return None
 
 
-@contextmanager
-def _processes(count: int, content: bytes) -> Generator[ProcessPoolExecutor]:
-    """Start processes. They end with the context, even if they hang, and with this process."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(count, context, _begin, (ours, content))
-    try:
-        yield pool
-    finally:
-        theirs.close()
-        for process in set(multiprocessing.active_children()) - before:
-            process.kill()  # a regular expression without end would keep its lifeline from ending it
-        pool.shutdown(wait=True, cancel_futures=True)
-        ours.close()
-
-
-def _begin(lifeline: Connection, content: bytes) -> None:
-    """Prepare a process: it ignores Ctrl-C and ends with its parent."""
-    show_log_as_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent(lifeline)
+def _begin(content: bytes) -> None:
     driver, thorough, tape = pickle.loads(content)
     subject = Subject(driver, thorough)
     subject.tape = tape

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import os
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 from daq.virtual_rig.motion import SimulatedMotion, StepTrajectory
 from daq.virtual_rig.run import VirtualRig
+from rig_basics.worker_processes import WORKERS
 from rig_configs.schema import Rig
 
 Array = NDArray[np.floating[Any]]
@@ -182,9 +182,8 @@ class RealTimeStage:
             raise OSError("faults in real time need a POSIX system: its signals stop and continue a process")
         self._folder = tempfile.TemporaryDirectory()
         self._truth = Path(self._folder.name, "truth.npz")
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(rig, self._truth, theirs), daemon=True)
+        ours, theirs = WORKERS.Pipe()
+        self._process = WORKERS.Process(target=_serve, args=(rig, self._truth, theirs), daemon=True)
         self._process.start()
         theirs.close()
         if not ours.poll(_READY_S):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
 from dynamics.motions.motion_problem import instants
 from rig_basics.texts import number_of
+from rig_basics.thread_pool import ThreadPool
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def simulate_batch(
         return None
 
     every = max(1, count // 100)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPool(os.cpu_count() or 1) as pool:
         for i, failure in enumerate(pool.map(one, range(count))):
             failures[i] = failure
             if progress is not None and ((i + 1) % every == 0 or i + 1 == count):

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +27,7 @@ from dynamics.motions.integrate import simulate
 from dynamics.motions.locked_motion import locked_state_derivatives
 from dynamics.motions.motion import Motion, Piece, Polynomials
 from dynamics.motions.motion_problem import instants
+from rig_basics.thread_pool import ThreadPool
 
 _EPSILON = 1e-30
 
@@ -72,7 +72,7 @@ def sensitivities(
 
     workers = max(1, min(len(names), os.cpu_count() or 1))
     groups = np.array_split(np.arange(len(names)), workers)
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPool(workers) as pool:
         for group, part in zip(
             groups,
             pool.map(part_of, groups),

@@ -13,7 +13,6 @@ import logging
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +24,7 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.friction_steps import fixed_states
 from dynamics.motions.integrate import simulate
+from rig_basics.thread_pool import ThreadPool
 
 _log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ def start_ups_from_rest(
             return fixed_states(parameters[i], scene, times, _STEP_S)[1:], False
 
     states, followed = np.empty((len(starts), _SAMPLES_PER_REVOLUTION + 1, 8)), np.zeros(len(starts), bool)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPool(os.cpu_count() or 1) as pool:
         for i, (found, is_accurate) in enumerate(pool.map(one, range(len(starts)))):
             states[i], followed[i] = found, is_accurate
             if progress is not None:

@@ -23,6 +23,7 @@ from dynamics.stability.border_following import follow
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
+from rig_basics.thread_pool import ThreadPool
 
 _FIRST = (192, 144)  # numbers of cells of the first grid
 LEVELS = 1
@@ -146,7 +147,7 @@ def stability_borders(
     _check_spacing(spacing)
     notify = progress or _ignore
     lattice = Lattice(x_range, y_range, first[0] << levels, first[1] << levels, logarithmic)
-    with ThreadPoolExecutor(max_workers=cores()) as pool:
+    with ThreadPool(max_workers=cores()) as pool:
         patches = cover(pool, plane, x_range, y_range)
         notify(0.2)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ from dynamics.stability.floquet.lanes import LANES
 from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
+from rig_basics.thread_pool import ThreadPool
 
 _MAX_POINTS = 20_000_000
 _MIN_RATIO, _MAX_RATIO = 1e-15, 1e15  # outside, squares and quotients exceed the range of a double
@@ -179,7 +179,7 @@ def multipliers_on_grid(
         NotConverged: the multiplier of a point cannot be computed even with a low accuracy.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
-    with _threads(threads) as pool:
+    with ThreadPool(threads or cores()) as pool:
         tiles = MapTiles(plane, x, y)
         for rectangle in tiles.rectangles(pool):
             for rows, columns, multipliers, bounds in tiles.multipliers(pool, rectangle):
@@ -217,7 +217,7 @@ def multipliers_at_points(
     """
     found, errors = np.full((2, len(x)), np.nan)
     notify = progress or _ignore
-    with _threads() as pool:
+    with ThreadPool(cores()) as pool:
         left = _explicit(pool, plane, (x, y), np.arange(len(x)), accuracy, found, errors, notify)
     for point in left.tolist():
         found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
@@ -227,18 +227,6 @@ def multipliers_at_points(
 
 def _ignore(share: float) -> None:
     del share
-
-
-@contextmanager
-def _threads(count: int | None = None) -> Generator[ThreadPoolExecutor]:
-    """Pool of threads, by default one per core. If the work is interrupted, waiting tasks are cancelled."""
-    pool = ThreadPoolExecutor(max_workers=count or cores())
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(cancel_futures=True)
-        raise
-    pool.shutdown()
 
 
 def _explicit(

@@ -8,7 +8,6 @@ Source: docs/theory/uncertainty.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientProblem
 from rig_basics.arrays import Array
+from rig_basics.thread_pool import ThreadPool
 from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
 
 _STEP = 1e-4  # relative step of a number
@@ -56,7 +56,7 @@ def by_physical_numbers(
 
     names = list(knowledge.numbers)
     once = [n for n in names if not (n == "imbalance.mass_kg" and "rotor.mass_kg" in names)]
-    with ThreadPoolExecutor(THREADS) as pool:
+    with ThreadPool(THREADS) as pool:
         found = {name: by for name, by in zip(once, pool.map(answer, once), strict=True) if by is not None}
     if "rotor.mass_kg" in found and "imbalance.mass_kg" in names:
         found["imbalance.mass_kg"] = found["rotor.mass_kg"]  # S_P is estimated: both masses act through the total mass

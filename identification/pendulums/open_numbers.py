@@ -11,7 +11,6 @@ part in the fit's own covariance. Source: docs/theory/pendulum_damping.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +20,7 @@ from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.transient import TransientProblem
 from identification.work import spend
 from rig_basics.arrays import Array
+from rig_basics.thread_pool import ThreadPool
 
 PENDULUMS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 """Numbers that a release determines. The rotor's mass has the same effect as all of these together."""
@@ -69,7 +69,7 @@ def with_open_numbers(
             return (angles(own, off + _STEP * np.eye(len(names))[k], end_s, False)[0] - angle) / _STEP
 
         spend(len(names) * len(angle) * p)  # the threads do not count their work
-        with ThreadPoolExecutor(THREADS) as pool:  # the compiled motion releases the interpreter lock
+        with ThreadPool(THREADS) as pool:  # the compiled motion releases the interpreter lock
             columns = list(pool.map(column, range(len(names))))
         return angle, np.column_stack([slope, *columns])
 

@@ -36,6 +36,7 @@ from identification.release_check.together import agreed, fitted_at
 from identification.sources import parts
 from identification.work import bounded_work
 from rig_basics.arrays import Array
+from rig_basics.thread_pool import ThreadPool
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.error_label import ErrorLabel
 from rig_configs.known import BOW, CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
@@ -135,7 +136,7 @@ def check_releases(
         taken[name] = taken.get(name, 0) + 1
         named.append((f"{name} ({taken[name]})" if taken[name] > 1 else name, run))
     released = [each for each in named if each[1].releases]
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPool(_THREADS) as pool:
         drag = Drag.of(identified.provenance)
         reading: Reading = "drag" if drag is not None and drag.undecided else ""
         case, first = _first(_Case(rig, Attempts(identified, frozenset(exact)), reading), released, pool, progress)

@@ -13,14 +13,12 @@ import numpy as np
 from daq.channels import Channel, pack_note
 from daq.drivers.devices import channels_of
 from daq.version import software_version
-from live.child_process import ignore_terminal_signals
 from live.errors import LiveError
 from live.foxglove.client import Turn
 from live.foxglove.protocol import ChannelMessages, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.newest import Rows
 from rig_basics.ignoring import ignoring
-from rig_basics.log_output import show_log_as_parent
 from rig_configs.schema import Rig
 
 NoteRow = tuple[str, int, Mapping[str, Any]]
@@ -98,8 +96,6 @@ def facts_of(rig: Rig) -> dict[str, str]:
 
 def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]) -> None:
     """Serve until the other side closes the pipe."""
-    show_log_as_parent()
-    ignore_terminal_signals()
     if hasattr(os, "nice"):  # no part of the rig depends on this process
         os.nice(_NICE)
     packing = Packing(channels_of(rig.devices))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +23,7 @@ from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
 from rig_basics.texts import number_of
+from rig_basics.thread_pool import ThreadPool
 
 _log = logging.getLogger(__name__)
 
@@ -73,7 +73,7 @@ def open_lost_points(work: Workspace) -> Reproduced:
     def at_place(place: tuple[float, float]) -> _Here:
         return _here(_damped(p, place[0]), place[1])
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPool(os.cpu_count() or 1) as pool:
         for here in pool.map(at_place, places):
             found.append(here)
             work.progress(0.6 * len(found) / len(places))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ from reproduction.items.pendulum_sets import FROM_RAD
 from reproduction.results import Verdict
 from rig_basics.arrays import Array
 from rig_basics.texts import number_of
+from rig_basics.thread_pool import ThreadPool
 
 SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000
@@ -55,7 +55,7 @@ def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], pro
         return end, any(state.stable for state in states)
 
     found, names = list[ReleaseOutcome](), list[str]()
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPool(os.cpu_count() or 1) as pool:
         for outcome, has_stable_state in pool.map(one, range(len(rigs))):
             found.append(outcome)
             names.append(_name(outcome, has_stable_state))

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.connection import Connection
+from contextlib import ExitStack
 from typing import Any, Self
 
-from rig_basics.lifeline import end_with_parent
-from rig_basics.log_output import show_log_as_parent
 from rig_basics.texts import number_of
+from rig_basics.worker_processes import worker_pool
 from studies.errors import TileFailed
 from studies.study import Study
 from studies.worker import answer_tile
@@ -34,7 +31,7 @@ class Processes:
         self.name: str = number_of(count, "process", "processes")
         self._count, self._notify = count, notify
         self._pool: ProcessPoolExecutor | None = None
-        self._lifeline: Connection | None = None
+        self._ending = ExitStack()
 
     def __enter__(self) -> Self:
         return self
@@ -70,21 +67,9 @@ class Processes:
 
     def _open(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            ours, self._lifeline = context.Pipe(duplex=False)
-            self._pool = ProcessPoolExecutor(self._count, context, _begin, (ours,))
+            self._pool = self._ending.enter_context(worker_pool(self._count))
         return self._pool
 
     def _end(self) -> None:
-        if self._lifeline is not None:
-            self._lifeline.close()
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-        self._pool = self._lifeline = None
-
-
-def _begin(lifeline: Connection) -> None:
-    """Prepare a process before its first tile: it ignores Ctrl-C and ends with its parent."""
-    show_log_as_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent(lifeline)
+        self._pool = None
+        self._ending.close()

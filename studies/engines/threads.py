@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any, Self
 
+from rig_basics.thread_pool import ThreadPool
 from studies.study import Study, kind_named
 from studies.worker import answer_tile
 
@@ -27,18 +28,14 @@ class Threads:
         processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         at_once = min(len(tiles), processors) if kind_named(study.kind).uses_threads else 1
         waiting = iter(tiles)
-        with ThreadPoolExecutor(at_once) as pool:
+        with ThreadPool(at_once) as pool:
             running: dict[Future[bytes], int] = {}
-            try:
-                while True:
-                    while len(running) < at_once and (tile := next(waiting, None)) is not None:
-                        threads = max(1, processors // at_once)
-                        future = pool.submit(answer_tile, study.kind, study.text, study.software, tile, threads)
-                        running[future] = tile
-                    if not running:
-                        return
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        yield running.pop(future), future.result()
-            finally:
-                for future in running:
-                    future.cancel()
+            while True:
+                while len(running) < at_once and (tile := next(waiting, None)) is not None:
+                    threads = max(1, processors // at_once)
+                    future = pool.submit(answer_tile, study.kind, study.text, study.software, tile, threads)
+                    running[future] = tile
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(future), future.result()

@@ -19,6 +19,7 @@ from dynamics.steady.basins.turning import RevolutionMap
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 from rig_basics.texts import number_of
+from rig_basics.thread_pool import ThreadPool
 
 _SCOUTS_RAD = ((0.0035, 3.1398), (1.5, 3.6), (3.0, 3.3))  # θ3, θ4 of releases that are simulated to find slipping
 _FOLLOWED, _EVALUATED = 1500, 700  # revolutions simulated, and evaluated at the end
@@ -90,14 +91,10 @@ def stable_motions(
                 progress(done / count)
         return found
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        try:
-            found = [each for part in pool.map(along, range(0, count, wide)) for each in part]
-            _continue_to_neighbours(found, rigs, speeds_rad_s, wide, pool)
-            return found
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with ThreadPool(workers or os.cpu_count() or 1) as pool:
+        found = [each for part in pool.map(along, range(0, count, wide)) for each in part]
+        _continue_to_neighbours(found, rigs, speeds_rad_s, wide, pool)
+        return found
 
 
 def _continue_to_neighbours(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -18,6 +18,7 @@ from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
 from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, RevolutionMap
+from rig_basics.thread_pool import ThreadPool
 
 STATED_ERROR_RAD = 1e-6
 """Default distance of a release and its neighbour."""
@@ -125,13 +126,9 @@ def follow(
 def _in_threads(
     group: Callable[[int], None], begins: Sequence[int], workers: int, progress: Callable[[float], None] | None
 ) -> None:
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            waiting = [pool.submit(group, begin) for begin in begins]
-            for done, each in enumerate(as_completed(waiting), 1):
-                each.result()
-                if progress is not None:
-                    progress(done / len(waiting))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with ThreadPool(workers) as pool:
+        waiting = [pool.submit(group, begin) for begin in begins]
+        for done, each in enumerate(as_completed(waiting), 1):
+            each.result()
+            if progress is not None:
+                progress(done / len(waiting))

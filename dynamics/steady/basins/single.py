@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ from dynamics.steady.basins.regions import attracting_region
 from dynamics.steady.basins.slipping_orbits import slipping_orbit
 from dynamics.steady.basins.turning import RevolutionMap
 from rig_basics.texts import number_of
+from rig_basics.thread_pool import ThreadPool
 
 Pair = tuple[float, float]
 
@@ -97,15 +97,11 @@ def release_ends(
         except (DynamicsError, np.linalg.LinAlgError) as error:
             return str(error)
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        try:
-            for i, each in enumerate(pool.map(one, range(count))):
-                found[i] = each
-                if progress is not None:
-                    progress((i + 1) / count)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with ThreadPool(workers or os.cpu_count() or 1) as pool:
+        for i, each in enumerate(pool.map(one, range(count))):
+            found[i] = each
+            if progress is not None:
+                progress((i + 1) / count)
     return _gathered(found)
 
 

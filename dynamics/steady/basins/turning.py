@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +20,7 @@ from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import damping_rates
 from dynamics.stability.turn_map import turn_derivatives
 from dynamics.steady.basins.pursuit import advance, steps_needed
+from rig_basics.thread_pool import ThreadPool
 
 STEP_RAD = 0.4
 """Step in radians of the fastest oscillation: an error of about 1e-9 per revolution."""
@@ -119,7 +119,7 @@ class RevolutionMap:
             part(out)
         else:
             workers = os.cpu_count() or 1
-            with ThreadPoolExecutor(workers) as pool:
+            with ThreadPool(workers) as pool:
                 list(pool.map(part, np.array_split(out, workers)))
         return out
 

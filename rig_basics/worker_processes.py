@@ -1,0 +1,128 @@
+"""Processes that compute or serve for this one. What a terminal sends to all its processes reaches this one alone.
+
+Ctrl-C and the end of a terminal are sent to every process. Worker processes ignore both from their first instruction,
+also while they import their modules; this process ends them.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Generator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
+from types import FrameType
+from typing import Any
+
+from rig_basics.lifeline import end_with_parent
+from rig_basics.log_output import show_log_as_parent
+
+_FROM_TERMINALS = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+_INTERRUPTING = [*_FROM_TERMINALS, signal.SIGTERM]
+
+
+class WorkerProcess(SpawnProcess):
+    """A process that ignores what a terminal sends, and writes log lines as this one does."""
+
+    def start(self) -> None:
+        """Start the process. An interruption of this one is raised when the process has got its work."""
+        with _interruptions_held(), _children_deaf():
+            super().start()
+
+    def run(self) -> None:
+        """Carry out the work, in the new process."""
+        show_log_as_parent()
+        for number in _FROM_TERMINALS:  # for Windows, where no process inherits it
+            signal.signal(number, signal.SIG_IGN)
+        super().run()
+
+
+class _Workers(SpawnContext):
+    Process = WorkerProcess
+
+
+WORKERS: SpawnContext = _Workers()
+"""Context of `multiprocessing` whose processes are `WorkerProcess`."""
+
+
+@contextmanager
+def worker_pool(
+    count: int, begin: Callable[..., object] | None = None, *arguments: Any
+) -> Generator[ProcessPoolExecutor]:
+    """Start processes. They end with the context, even if they hang or have not begun, and with this process.
+
+    Args:
+        count: number of processes.
+        begin: called in each process before its first task.
+        arguments: picklable arguments of `begin`.
+    """
+    ours, theirs = WORKERS.Pipe(duplex=False)
+    before = set(multiprocessing.active_children())
+    own = set[BaseProcess]()
+    pool = ProcessPoolExecutor(count, WORKERS, _begin, (ours, begin, arguments))
+    try:
+        pool.submit(os.getpid)  # starts all processes
+        own |= set(multiprocessing.active_children()) - before
+        yield pool
+    finally:
+        theirs.close()
+        for process in own or set(multiprocessing.active_children()) - before:
+            process.kill()  # a task that keeps the interpreter's lock would keep the lifeline from ending it
+        pool.shutdown(wait=True, cancel_futures=True)
+        ours.close()
+
+
+def _begin(lifeline: Connection, begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
+    end_with_parent(lifeline)
+    if begin is not None:
+        begin(*arguments)
+
+
+@contextmanager
+def _children_deaf() -> Generator[None]:
+    """Block the signals of terminals in this thread: processes that it starts inherit that, other threads get them."""
+    if sys.platform == "win32":
+        yield
+        return
+    from multiprocessing import resource_tracker  # noqa: PLC0415 (not on Windows)
+
+    resource_tracker.ensure_running()  # its start would end the blocking
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_TERMINALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _interruptions_held() -> Generator[None]:
+    """Hold an interruption of this process until the end of the context; a second one is raised at once.
+
+    Only the main thread receives them.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held = list[int]()
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        held.append(number)
+        if len(held) > 1:
+            handlers[number](number, frame)
+
+    handlers = {number: each for number in _INTERRUPTING if callable(each := signal.getsignal(number))}
+    try:
+        for number in handlers:
+            signal.signal(number, hold)
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if len(held) == 1:
+            signal.raise_signal(held[0])
