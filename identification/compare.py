@@ -142,7 +142,11 @@ def compare_parameters(old: IdentifiedParameters, new: IdentifiedParameters) -> 
         Change(name, *map(float, row))
         for name, *row in zip(names, before, after, change, std, z, p, holm(p), shares, strict=True)
     ]
-    notes = [*apart.notes]
+    rigs = [str(parameters.provenance.get("rig", "")) for parameters in (old, new)]
+    notes = (
+        [f"two rigs, {' and '.join(rigs)}: a change is what sets them apart"] if all(rigs) and len({*rigs}) > 1 else []
+    )
+    notes += apart.notes
     if dof < len(names):
         notes.append(
             f"{len(names) - dof} of {number_of(len(names), 'direction rests', 'directions rest')} on the "

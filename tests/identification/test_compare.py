@@ -143,6 +143,15 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
     assert np.std(alone) < 0.8  # as independent the change would look too sure to be there
 
 
+def test_a_comparison_of_two_rigs_is_noted_first() -> None:
+    estimates, _ = draw(np.random.default_rng(5), ("spin-down",))
+    one = parameters_of(estimates)
+    assert (
+        compare_parameters(one, parameters_of(estimates, rig="other")).notes[0].startswith("two rigs, bench and other")
+    )
+    assert not any("two rigs" in note for note in compare_parameters(one, one).notes)
+
+
 def test_logs_in_both_are_named_in_one_sentence() -> None:
     estimates, _ = draw(np.random.default_rng(5), ("spin-down", "spin-down", "point-E"))
     notes = [
