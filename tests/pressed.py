@@ -23,7 +23,7 @@ def begun(
     """Start a command as the foreground of a terminal of its own; the context kills what is left of it.
 
     Args:
-        folder: working folder, in which standard error is written to `stderr`.
+        folder: working folder.
         before: Python statements that run first.
         environment: additional variables.
     """
@@ -31,29 +31,28 @@ def begun(
     first = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     variables = {**os.environ, **(environment or {})}
     variables["PYTHONPATH"] = os.pathsep.join(filter(None, [variables.get("PYTHONPATH"), str(ROOT)]))
-    with (folder / "stderr").open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-c", f"{first}\n{before}\n{_ENTRY}", *arguments],
-            cwd=folder,
-            env=variables,
-            stdout=output,
-            stderr=output,
-            start_new_session=True,
-        )
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{first}\n{before}\n{_ENTRY}", *arguments],
+        cwd=folder,
+        env=variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
     try:
         yield process
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        process.communicate()
 
 
-def until(happened: Callable[[], bool], process: subprocess.Popen[bytes], folder: Path) -> None:
+def until(happened: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
     """Wait for something that a command does."""
     deadline = time.monotonic() + _BEGIN_S
     while not happened():
-        assert process.poll() is None, (folder / "stderr").read_text()
-        assert time.monotonic() < deadline, (folder / "stderr").read_text()
+        assert process.poll() is None, process.communicate()[0].decode()
+        assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
@@ -64,15 +63,8 @@ def press_ctrl_c(process: subprocess.Popen[bytes], folder: Path) -> str:
     """
     os.killpg(process.pid, signal.SIGINT)
     (folder / "pressed").touch()
-    code = process.wait(_END_S)
-    deadline = time.monotonic() + _END_S
-    with contextlib.suppress(ProcessLookupError):
-        while True:
-            os.killpg(process.pid, 0)
-            assert time.monotonic() < deadline, "a process outlived the command"
-            time.sleep(0.01)
-    printed = (folder / "stderr").read_text()
-    assert code == 130, printed
+    printed = process.communicate(timeout=_END_S)[0].decode()  # each of its processes has the other end of the pipe
+    assert process.returncode == 130, printed
     assert "Traceback" not in printed, printed
     assert "Fatal Python error" not in printed, printed
     assert printed.splitlines()[-1] == "rig: interrupted", printed

@@ -37,5 +37,5 @@ def test_ctrl_c_while_worker_processes_begin_is_orderly(command: str, tmp_path: 
     (modules / "sitecustomize.py").write_text(BEGINNING)
     variables = {"PYTHONPATH": str(modules), "BEGUN": str(processes)}
     with begun(command.split(), tmp_path, environment=variables) as process:
-        until(lambda: len(list(processes.iterdir())) >= COMMANDS[command], process, tmp_path)
+        until(lambda: len(list(processes.iterdir())) >= COMMANDS[command], process)
         press_ctrl_c(process, tmp_path)

@@ -41,7 +41,7 @@ threads.answer_tile = answer_tile
 def test_ctrl_c_does_not_wait_for_the_tiles_in_work(tmp_path: Path) -> None:
     tiles = tmp_path / "map.npz.tiles"
     with begun(["map", "virtual", "--x", X, "--y", Y, "-o", "map.npz"], tmp_path, WITHOUT_END) as process:
-        until(lambda: (tmp_path / "in work").exists() and any(tiles.glob("*-000000.npz")), process, tmp_path)
+        until(lambda: (tmp_path / "in work").exists() and any(tiles.glob("*-000000.npz")), process)
         printed = press_ctrl_c(process, tmp_path)
     assert "stopped: 6 tiles" in printed
     assert f"1 of 6 tiles are done and kept in {tiles.name}; the same command continues from there" in printed
