@@ -73,12 +73,6 @@ class DbcDriver(PlainDriver):
 
         return SimulatedCanSensors.of(device, settings, world)
 
-    def prepare(self) -> None:
-        """See Driver."""
-        from daq.clock import compile_line
-
-        compile_line()
-
     def open(self, device: str, settings: CanSensors, talk: Talk) -> dict[str, Any]:
         """See Driver; sensors that are described by a DBC file alone cannot be queried."""
         if not settings.port.startswith("can:"):  # a bus of python-can holds no old frames

@@ -108,12 +108,6 @@ class LabJackDriver(PlainDriver):
 
         return PlayedLabJack(settings, identity)
 
-    def prepare(self) -> None:
-        """See Driver."""
-        from daq.clock import compile_line
-
-        compile_line()
-
     def open(self, device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
         """See Driver."""
         from daq.drivers.labjack.dialogue import open_device

@@ -51,12 +51,6 @@ class EthernetDriver(DisplacementDriver):
             "packets": DeviceCheck("differ" if complaint else "fit", "fit", not complaint, complaint),
         }
 
-    def prepare(self) -> None:
-        """See Driver."""
-        from daq.clock import compile_line
-
-        compile_line()
-
     def open(self, device: str, settings: EthernetLaser, talk: Talk) -> dict[str, Any]:
         """See Driver; the sensor sends as soon as it is connected, and its packets have its serial number."""
         return {"driver": self.name, "port": settings.port}

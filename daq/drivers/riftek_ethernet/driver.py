@@ -37,12 +37,6 @@ class RiftekEthernet(DisplacementDriver):
 
         return SimulatedRiftekEthernet.of(device, settings, world)
 
-    def prepare(self) -> None:
-        """See Driver."""
-        from daq.clock import compile_line
-
-        compile_line()
-
     def open(self, device: str, settings: RiftekEthernetLaser, talk: Talk) -> dict[str, Any]:
         """See Driver; the sensor sends without a command, and its packets have its serial number."""
         return {"driver": self.name, "port": settings.port}
