@@ -16,14 +16,15 @@ is in time. After a loss or a new start they come at their usual pace, and remai
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
-from typing import Generic, Literal, Protocol, Self, TypeVar
+from dataclasses import replace
+from typing import Generic, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.numbered.due_line import RATE_ERROR, DueLine
+from daq.numbered.lateness import Lateness, came_at_once, first_late, settled_lateness
+from daq.numbered.messages import Count, Message, R, Stretch
 
 _HOST_NS = 10e6
 """Delay of a host under usual load, which shows nothing."""
@@ -33,102 +34,12 @@ _CHANCE = 0.01
 """Largest share of a cycle within the tolerance: so often a delay of the host looks like whole lost cycles."""
 _SILENT = 0.8
 """Share of missing messages for whose duration the line must have been silent; a delay may cover the rest."""
-_PERSISTS_NS, _PERSISTS_MESSAGES, _PERSISTS_READS = 120e6, 3, 4
-"""Messages that stay late for so long were not delayed by the host; they are so many messages and reads at least."""
-_CATCHES_UP, _FALLS_BEHIND = 0.25, 0.5
-"""Changes of the lateness that no loss explains: relative to itself, and to the time in which it changes."""
 _STARTS_NS = 100e6
 """Time that a sender needs at least to start again."""
-_BURST = 0.5
-"""Share of the time in which messages were sent, within which they come if they have waited for the host."""
 _MOST_WAITING = 4096
 
 
-class Rows(Protocol):
-    """Contents of consecutive messages, for example a list or an array."""
-
-    def __getitem__(self, part: slice, /) -> Self: ...
-
-
-R = TypeVar("R", bound=Rows)
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Count:
-    """Numbers of a sender's messages.
-
-    Attributes:
-        size: number of different numbers; 1 if messages have none.
-        period_ns: time between two messages by the rig file, ns.
-        step: numbers from one message to the next.
-        clock_size: number of different times of the sender's clock; 0 without one.
-        clock_step: its step from one message to the next.
-        late_messages: number of messages by which one may come late, or once more; 0 of a line that keeps their order.
-        is_checked: whether a message with a damaged number is impossible.
-    """
-
-    size: int
-    period_ns: float
-    step: float = 1.0
-    clock_size: int = 0
-    clock_step: float = 1.0
-    late_messages: int = 0
-    is_checked: bool = True
-
-
-@dataclass(frozen=True)
-class Stretch(Generic[R]):
-    """Consecutive messages of one read.
-
-    Attributes:
-        numbers: continuous numbers, int64, shape (n,); those after a new start begin with the sender's own.
-        rows: their contents.
-        host_ns: host time of the read, ns.
-        lost: number of messages missing before them.
-        is_about: whether `lost` is an estimate from the host's time.
-        is_restart: whether the sender started again before them.
-    """
-
-    numbers: NDArray[np.int64]
-    rows: R
-    host_ns: int
-    lost: int = 0
-    is_about: bool = False
-    is_restart: bool = False
-
-
-@dataclass(frozen=True)
-class _Message(Generic[R]):
-    """A message with the place that it has if no whole cycle is missing before it.
-
-    Attributes:
-        number, time: as received; `time` of its sender's clock.
-        place: continuous number.
-        missing: number of messages missing before it, after the one before it.
-        cycle_ns: time after which number and clock are the same again, ns.
-        late_ns: lateness at this place, ns.
-        at_ns, host_ns: time of its arrival, estimated from those after it in its read, and of the read, ns.
-        row: its content.
-    """
-
-    number: int
-    time: int
-    place: int
-    missing: int
-    cycle_ns: float
-    late_ns: float
-    at_ns: int
-    host_ns: int
-    row: R
-
-
 _Why = Literal["jumped", "too early", "sent earlier", "late"]
-
-
-def chained(parts: Sequence[list[T]]) -> list[T]:
-    """Join the contents of messages that are lists."""
-    return [each for part in parts for each in part]
 
 
 class NumberedStream(Generic[R]):
@@ -151,7 +62,7 @@ class NumberedStream(Generic[R]):
         self._tolerance_ns = min(0.5 * count.size * self._number_ns, max(_HOST_NS, 0.5 * count.period_ns))
         self._due = DueLine(self._tolerance_ns)
         self._place = self._time = 0  # of the newest message with a place
-        self._waiting: list[_Message[R]] = []
+        self._waiting: list[Message[R]] = []
         self._why: _Why = "late"
         self._stands_still = False  # whether the newest message had the number of that before it
 
@@ -230,7 +141,7 @@ class NumberedStream(Generic[R]):
     def _missing(self, step: int) -> int:
         return round(step / self._count.step) - 1
 
-    def _message(self, place: int, time: int, received: tuple[int, int, int, int, R]) -> _Message[R]:
+    def _message(self, place: int, time: int, received: tuple[int, int, int, int, R]) -> Message[R]:
         """Return a message with its place after another one, whose place and time are given."""
         number, own_time, at_ns, host_ns, row = received
         steps, cycles_ns = self._steps(place, time, np.array([number]), np.array([own_time]))
@@ -239,7 +150,7 @@ class NumberedStream(Generic[R]):
             step = (step - 1) % self._count.size + 1  # the clock's time is damaged
             cycle_ns = self._count.size * self._number_ns
         here = place + step
-        return _Message(
+        return Message(
             number,
             own_time,
             here,
@@ -274,7 +185,7 @@ class NumberedStream(Generic[R]):
         self._waiting.append(after)
         return self._decided()
 
-    def _goes_on(self, here: _Message[R], after: _Message[R]) -> bool:
+    def _goes_on(self, here: Message[R], after: Message[R]) -> bool:
         """Whether a message goes on from the newest one with a place, and not from those that wait."""
         if self._why == "late":
             return False
@@ -285,7 +196,7 @@ class NumberedStream(Generic[R]):
             return after.missing > 0 and in_time
         return after.missing > 0 and here.missing == len(self._waiting)  # they stand where others are missing
 
-    def _alone(self, here: _Message[R]) -> list[Stretch[R]]:
+    def _alone(self, here: Message[R]) -> list[Stretch[R]]:
         """Take a message while no other one waits."""
         silent_ns = here.at_ns - self._due.heard_ns
         missing_ns = here.late_ns + here.missing * self._count.period_ns
@@ -306,7 +217,7 @@ class NumberedStream(Generic[R]):
             return self._put([here], here.missing)
         return self._wait(here, "late")
 
-    def _too_early(self, here: _Message[R]) -> list[Stretch[R]]:
+    def _too_early(self, here: Message[R]) -> list[Stretch[R]]:
         """Take a message that cannot have been sent yet if it comes after the newest one."""
         behind = self._behind(here)
         if behind <= self._count.late_messages:
@@ -317,11 +228,11 @@ class NumberedStream(Generic[R]):
             return self._wait(here, "sent earlier")
         return self._restarted([here]) if self._count.is_checked else self._wait(here, "too early")
 
-    def _behind(self, here: _Message[R]) -> int:
+    def _behind(self, here: Message[R]) -> int:
         """Return the number of messages by which a message comes before the one that it was compared with."""
         return self._missing(self._count.size) - here.missing
 
-    def _wait(self, here: _Message[R], why: _Why) -> list[Stretch[R]]:
+    def _wait(self, here: Message[R], why: _Why) -> list[Stretch[R]]:
         self._waiting, self._why = [here], why
         return []
 
@@ -345,65 +256,37 @@ class NumberedStream(Generic[R]):
             return self._restarted(self._waiting)
         if len(self._waiting) >= _MOST_WAITING:
             return self._settled()
-        change = self._change()
-        if change is None:
+        lateness = settled_lateness(self._waiting, self._tolerance_ns, self._count.period_ns)
+        if lateness is None:
             return []
         if self._why == "sent earlier":
             return self._restarted(self._waiting)
-        return self._late(*change)
+        return self._late(lateness)
 
-    def _change(self) -> tuple[float, float] | None:
-        """Return the least lateness of the newer messages, and by how much it changes; None if it is too early.
-
-        The change is infinite if no loss explains it.
-        """
-        reads = [list(group)[-1] for _, group in groupby(self._waiting, key=lambda each: each.host_ns)]
-        begin_ns = reads[0].host_ns
-        passed_ns = reads[-1].host_ns - begin_ns
-        enough_ns = max(_PERSISTS_NS, _PERSISTS_MESSAGES * self._count.period_ns)
-        is_short = passed_ns < enough_ns or len(reads) < _PERSISTS_READS
-        if len(reads) < 2 or (is_short and passed_ns < 2 * enough_ns):
-            return None
-        early = min(each.late_ns for each in reads if each.host_ns - begin_ns <= passed_ns / 2)
-        late = min(each.late_ns for each in reads if each.host_ns - begin_ns > passed_ns / 2)
-        if late < early - max(self._tolerance_ns, _CATCHES_UP * early):
-            return None if passed_ns < 2 * enough_ns else (late, np.inf)
-        falls = late - early >= max(_FALLS_BEHIND * passed_ns / 2, 2 * self._tolerance_ns)
-        return late, np.inf if falls else abs(late - early)
-
-    def _late(self, late_ns: float, change_ns: float) -> list[Stretch[R]]:
+    def _late(self, lateness: Lateness) -> list[Stretch[R]]:
         """Place messages that remain late: after whole cycles, after a new start, or with a delay of the host."""
-        waiting = self._waiting
+        waiting, late_ns = self._waiting, lateness.least_ns
         first = waiting[0]
         cycles = self._cycles(late_ns, first.cycle_ns, first.at_ns)
         off_ns = abs(late_ns - cycles * first.cycle_ns)
-        if np.isfinite(change_ns):
-            if off_ns <= self._due.tolerance_ns(first.at_ns) + self._tolerance_ns + change_ns:
-                at = self._beginning(late_ns)
+        if np.isfinite(lateness.change_ns):
+            if off_ns <= self._due.tolerance_ns(first.at_ns) + self._tolerance_ns + lateness.change_ns:
+                at = first_late(waiting, late_ns, self._tolerance_ns)
                 before = self._put(waiting[:at], first.missing) if at else []
                 return [*before, *self._put(waiting[at:], waiting[at].missing, cycles)]
             if first.missing and late_ns > _STARTS_NS:
                 return self._restarted(waiting)
         return self._put(waiting, first.missing)
 
-    def _beginning(self, late_ns: float) -> int:
-        """Return the index of the waiting message from which on all are late, or of the first jump in its read."""
-        before = [i for i, each in enumerate(self._waiting) if each.late_ns < late_ns - 0.5 * self._tolerance_ns]
-        first = before[-1] + 1 if before else 0
-        of_one_read = [each for each in self._waiting[first:] if each.host_ns == self._waiting[first].host_ns]
-        return first + next((i for i, each in enumerate(of_one_read) if each.missing), 0)
-
     def _settled(self) -> list[Stretch[R]]:
         """Place or drop the messages that wait, without others after them."""
         if not self._waiting:
             return []
-        first, newest = self._waiting[0], self._waiting[-1]
-        sent_ns = (newest.place - first.place) * self._number_ns
-        is_burst = len(self._waiting) == 1 or newest.host_ns - first.host_ns < _BURST * sent_ns
+        first, is_burst = self._waiting[0], came_at_once(self._waiting, self._number_ns)
         if self._why == "jumped" or (self._why == "late" and is_burst):
             return self._put(self._waiting, first.missing)
         if self._why == "late":
-            return self._late(min(each.late_ns for each in self._waiting), 0.0)
+            return self._late(Lateness(min(each.late_ns for each in self._waiting), 0.0))
         if is_burst or self._why == "too early":
             self._drop()
             return []
@@ -411,7 +294,7 @@ class NumberedStream(Generic[R]):
 
     # --- results --------------------------------------------------------------------------------------------------
 
-    def _put(self, messages: list[_Message[R]], missing: int, cycles: int = 0) -> list[Stretch[R]]:
+    def _put(self, messages: list[Message[R]], missing: int, cycles: int = 0) -> list[Stretch[R]]:
         """Place messages after `missing` ones and whole cycles, of which none is certain."""
         first = messages[0]
         lost = missing + round(cycles * first.cycle_ns / self._count.period_ns)
@@ -419,7 +302,7 @@ class NumberedStream(Generic[R]):
         is_about = cycles > 0 and 2 * self._due.tolerance_ns(first.at_ns) > _CHANCE * first.cycle_ns
         return self._stretches(messages, shift, lost, is_about=is_about)
 
-    def _restarted(self, messages: list[_Message[R]]) -> list[Stretch[R]]:
+    def _restarted(self, messages: list[Message[R]]) -> list[Stretch[R]]:
         """Place messages after a new start of the sender."""
         first = messages[0]
         silent_ns = first.at_ns - self._due.heard_ns
@@ -428,7 +311,7 @@ class NumberedStream(Generic[R]):
         return self._stretches(messages, first.number - first.place, lost, is_about=True, is_restart=True)
 
     def _stretches(
-        self, messages: list[_Message[R]], shift: int, lost: int, *, is_about: bool = False, is_restart: bool = False
+        self, messages: list[Message[R]], shift: int, lost: int, *, is_about: bool = False, is_restart: bool = False
     ) -> list[Stretch[R]]:
         self._waiting = []
         out: list[Stretch[R]] = []

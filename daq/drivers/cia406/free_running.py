@@ -11,7 +11,8 @@ import numpy as np
 
 from daq.clock import ClockMap
 from daq.drivers.cia406.reports import Instant
-from daq.numbered.stream import Count, NumberedStream, Stretch, chained
+from daq.numbered.messages import Count, Stretch, chained
+from daq.numbered.stream import NumberedStream
 
 _TIMER_PPM = 200.0
 """Standard uncertainty of an encoder's timer: it counts milliseconds by a crystal or a trimmed oscillator."""

@@ -15,7 +15,8 @@ from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
-from daq.numbered.stream import Count, NumberedStream, Stretch
+from daq.numbered.messages import Count, Stretch
+from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 
 _TICK_NS = round(DEVICE_TICK_S * 1e9)

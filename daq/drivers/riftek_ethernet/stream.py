@@ -19,7 +19,8 @@ from daq.drivers.riftek_ethernet import wire
 from daq.drivers.riftek_ethernet.identity import words_for
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.items import TX, Batch, DeviceEvent
-from daq.numbered.stream import Count, NumberedStream, Stretch, chained
+from daq.numbered.messages import Count, Stretch, chained
+from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)

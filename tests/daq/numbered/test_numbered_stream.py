@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from daq.numbered.stream import Count, NumberedStream, Stretch, chained
+from daq.numbered.messages import Count, Stretch, chained
+from daq.numbered.stream import NumberedStream
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
