@@ -263,7 +263,10 @@ def _delay(phase: RotorPhase, round_trip_s: float | None) -> DeviceCheck:
     if round_trip_s is None:
         return DeviceCheck(None, most, None, f"not measured: the device answers no request with its time. {advice}")
     stated_s = phase.least_delay_s
-    half_s = 0.5 * max(0.0, round_trip_s + stated_s)
+    if round_trip_s + stated_s < 0:
+        late = f"requests came {-1e3 * (round_trip_s + stated_s):.2g} ms before they were sent, by the device's clock"
+        return DeviceCheck(None, most, None, f"not measured: {late}: the host reads it late. Check again with less load")
+    half_s = 0.5 * (round_trip_s + stated_s)
     late_s = half_s - stated_s
     fine = at_most(abs(late_s), half_s, _MAX_CLOCK_STD_NS * 1e-9)
     degrees = 360 * _FAST_HZ * max(abs(late_s - half_s), late_s + half_s)

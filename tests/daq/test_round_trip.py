@@ -119,6 +119,14 @@ def test_a_stated_delay_above_the_whole_round_trip_fails() -> None:
     assert "least_delay_s = 0.02 exceeds the whole round trip" in found.note
 
 
+def test_answers_before_their_request_are_no_measure_of_the_way() -> None:
+    """The clock map of a host under load is late by more than the way; 0 ± 0 ms was stated."""
+    found = delay(-21e-3, least_delay_s=20e-3)
+    assert found is not None
+    assert (found.passed, found.value) == (None, None)
+    assert "requests came 1 ms before they were sent" in found.note
+
+
 def test_a_way_that_was_not_measured_is_not_resolved() -> None:
     found = delay(None)
     assert found is not None

@@ -64,7 +64,8 @@ def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
         for device, found in devices_found.items()
         for what, one in found["checks"].items()
     }
-    assert devices_found["node"]["checks"]["delay_ms"]["value"] > 0.5, "half of the radio's 3 ms there and back"
+    delay_ms = devices_found["node"]["checks"]["delay_ms"]["value"]  # None on a machine with other work
+    assert delay_ms is None or delay_ms > 0.5, "half of the radio's 3 ms there and back"
     failed = {what for what, verdict in checks.items() if verdict == "fail"}
     clocks = {(device, "clock_std_us") for device in ("displacement_x", "displacement_y", "node")}
     assert clocks <= set(checks)
