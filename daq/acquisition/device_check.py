@@ -265,7 +265,9 @@ def _delay(phase: RotorPhase, round_trip_s: float | None) -> DeviceCheck:
     stated_s = phase.least_delay_s
     if round_trip_s + stated_s < 0:
         late = f"requests came {-1e3 * (round_trip_s + stated_s):.2g} ms before they were sent, by the device's clock"
-        return DeviceCheck(None, most, None, f"not measured: {late}: the host reads it late. Check again with less load")
+        return DeviceCheck(
+            None, most, None, f"not measured: {late}: the host reads it late. Check again with less load"
+        )
     half_s = 0.5 * (round_trip_s + stated_s)
     late_s = half_s - stated_s
     fine = at_most(abs(late_s), half_s, _MAX_CLOCK_STD_NS * 1e-9)
