@@ -32,6 +32,7 @@ from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputE
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
 _INTERRUPTED = 130
 _LOG_LEVEL = "--log-level"
+_ONLY_SHOWN = {"--help", "-h", "--version"}
 _THIS_PROGRAM = Group("This program", sort_key=len(GROUPS))
 _USE_COMPILED = {
     "check",
@@ -65,6 +66,8 @@ def commands(loaded: Collection[str] = ()) -> App:
         suppress_keyboard_interrupt=False,
         default_parameter=EVERY_OPTION,
         version=_version,
+        version_format="plaintext",
+        help_format="plaintext" if _ONLY_SHOWN.issuperset(loaded) else "markdown",  # Markdown takes 25 ms to import
         help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.\n\n"
         "Every command takes --log-level LEVEL (debug, info, warning or error): lines about what the software does and "
         "which errors it ignores, on standard error.",
@@ -206,7 +209,8 @@ def _exit_code(error: Exception) -> int | None:
 
 def main() -> None:
     """Carry out the command of the command line and end the program with its exit code."""
-    keep_compiled_code()  # set the folder of compiled code before anything compiles; child processes inherit it
+    if not _ONLY_SHOWN & set(sys.argv[1:2]):  # the folder takes 25 ms to name, and nothing compiles
+        keep_compiled_code()  # before anything compiles; child processes inherit it
     interrupt_at_signals()
     crash.watch_threads(sys.argv[1:])
     code = run(sys.argv[1:])
