@@ -95,16 +95,20 @@ class Started:
         self.began, self.command = time.monotonic(), command
         descriptor, self.written = tempfile.mkstemp(".txt", "shown-", folder)
         words = ["sh", "-c", f"exec {command}"]
+        import pty
+
+        self.keyboard, keys = pty.openpty()  # no key is pressed
         with open(descriptor, "wb") as shown:
             self.process = subprocess.Popen(
                 words,
                 cwd=folder,
                 env=environment,
-                stdin=subprocess.DEVNULL,
+                stdin=keys,
                 stdout=shown,
                 stderr=shown,
                 start_new_session=True,
             )
+        os.close(keys)
 
     def text(self) -> str:
         """Return what it has written."""
@@ -127,6 +131,7 @@ class Started:
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
+        os.close(self.keyboard)
         return Ended(code, interrupted, self.text())
 
 
