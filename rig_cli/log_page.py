@@ -21,6 +21,15 @@ def print_log(facts: Mapping[str, Any]) -> None:
     console = stdout_console()
     for name, text, style in _lines(facts):
         console.print(Text.assemble((f"{name:13}", "dim"), (printable(text), style)), soft_wrap=True)
+    console.print(printable(log_sentence(facts)), soft_wrap=True, markup=False)
+
+
+def log_sentence(facts: Mapping[str, Any]) -> str:
+    """Return whether the log is whole, what was lost in it, and what to do if it is not whole."""
+    (_, lost, _), *_ = _loss_lines(facts["losses"])
+    text = f"The log is {_state(facts)[0]}; {'' if lost.startswith(_NOTHING_LOST) else 'losses: '}{lost}"
+    is_cut = len(facts["missing"]) > len(facts["lost_before"])
+    return f"{text}; next: rig recover {facts['log']}." if is_cut else f"{text}."
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
@@ -60,6 +69,7 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
         yield "attachments", ", ".join(f"{name} ({size(n)})" for name, n in facts["attachments_bytes"].items()), ""
 
 
+_NOTHING_LOST = "nothing lost"
 _RUN_SHOWN = ("rig", "test", "point", "note", "parameters", "software", "origin", "started")
 
 
@@ -109,7 +119,7 @@ def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, st
         for kind, n in kinds.items()
         if n
     ]
-    text = ", ".join(counts) or "nothing lost"
+    text = ", ".join(counts) or _NOTHING_LOST
     yield "losses", text + source[losses["source"]], "bold red" if losses["total"] else "green"
     for device, kinds in losses["events"].items():
         counted = [

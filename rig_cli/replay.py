@@ -178,6 +178,18 @@ def _print_check(found: ReplayCheck) -> None:
             show("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
     for note in found.notes:
         show(f"note: {note}")
+    show(replay_sentence(found))
+
+
+def replay_sentence(found: ReplayCheck) -> str:
+    """Return whether all that was compared is as it was recorded, or which channels are not."""
+    differing = [row.topic for row in found if row.difference]
+    channels = number_of(len(found.channels), "channel")
+    if differing:
+        verb = "differs" if len(differing) == 1 else "differ"
+        return f"{len(differing)} of {channels} {verb}: {', '.join(differing)}."
+    part = "" if found.until_ns is None else ", as far as raw bytes were compared"
+    return f"All {channels} are decoded as they were recorded{part}."
 
 
 def _first_difference(row: ChannelCheck) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.guided_tests.runner import TestDone
+from daq.replay import ReplayCheck
 from rig_cli.guided_test_result import against_plan, result_sentence
 from rig_cli.last_sentence import (
     check_sentence,
@@ -18,7 +20,9 @@ from rig_cli.last_sentence import (
     predict_sentence,
     validation_sentence,
 )
+from rig_cli.log_page import log_sentence
 from rig_cli.main import run
+from rig_cli.replay import replay_sentence
 from rig_cli.validation_page import whole_lines
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
@@ -173,3 +177,34 @@ def test_without_a_point_all_points_agree_is_not_shown_but_a_failure_is() -> Non
         whole_lines({**result, "agreement": {"passed": False, "why": "χ² 99 on 3"}})[-1] == "together: FAIL: χ² 99 on 3"
     )
     assert len(whole_lines({**result, "points": {"A": {}}})) == 2
+
+
+def log_facts(lost: int = 0, **changes: Any) -> dict[str, Any]:
+    losses = {"source": "summary", "by_device": {"laser_x": {"samples": lost}}, "total": lost, "events": {}}
+    whole = {"log": "a.mcap", "state": "finished", "verified": True, "missing": [], "lost_before": [], "losses": losses}
+    return whole | changes
+
+
+def test_a_log_ends_with_whether_it_is_whole_and_what_was_lost() -> None:
+    assert log_sentence(log_facts()) == "The log is finished, every byte checked; nothing lost."
+    assert log_sentence(log_facts(3)) == "The log is finished, every byte checked; losses: laser_x 3 samples."
+    cut = log_sentence(log_facts(missing=["5 bytes"], state="unfinished"))
+    assert cut == "The log is cut, or still being recorded, not whole; nothing lost; next: rig recover a.mcap."
+
+
+@pytest.mark.parametrize(
+    ("differences", "until_ns", "expected"),
+    [
+        (["", ""], None, "All 2 channels are decoded as they were recorded."),
+        (["", ""], 5, "All 2 channels are decoded as they were recorded, as far as raw bytes were compared."),
+        (["", "3 samples"], None, "1 of 2 channels differs: b."),
+        (["1 sample", "3 samples"], None, "2 of 2 channels differ: a, b."),
+    ],
+)
+def test_a_check_of_the_decoder_ends_with_what_differs(
+    differences: list[str], until_ns: int | None, expected: str
+) -> None:
+    rows: Any = tuple(
+        SimpleNamespace(topic=name, difference=each) for name, each in zip("ab", differences, strict=True)
+    )
+    assert replay_sentence(ReplayCheck(rows, until_ns, (), 1, 1)) == expected
