@@ -11,6 +11,7 @@ import threading
 dropped: list[str] = []
 """Names of the signals whose interruption was dropped, "" for Ctrl-C: a callback of a library can raise no error. The
 compiler then fails in another way."""
+_AGAIN_S = 0.1
 # Windows has no SIGHUP.
 _INTERRUPTING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -44,11 +45,20 @@ def end_without_threads(code: int) -> None:
 
 
 def note_dropped(fault: sys.UnraisableHookArgs) -> None:
-    """Note an interruption that cannot be raised; print any other such error, as Python does."""
+    """Note an interruption that cannot be raised where it arrived, and send it again; print other such errors."""
     if issubclass(fault.exc_type, KeyboardInterrupt):
         dropped.append(str(fault.exc_value or ""))
+        send_again(signal.Signals[dropped[-1] or "SIGINT"])
     else:
         sys.__unraisablehook__(fault)
+
+
+def send_again(number: signal.Signals) -> None:
+    """Send a signal to the main thread in a moment, when it has left the callback that dropped the first one."""
+    if hasattr(signal, "pthread_kill"):
+        again = threading.Timer(_AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number))
+        again.daemon = True
+        again.start()
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -63,6 +63,7 @@ def test_an_error_after_a_dropped_interruption_is_an_interruption(
     """A callback of the compiler drops the interruption, and the compilation then fails in another way."""
     monkeypatch.setattr(main, "dropped", [])
     monkeypatch.setattr(signals, "dropped", main.dropped)
+    monkeypatch.setattr(signals, "send_again", lambda number: None)
     monkeypatch.setattr(sys, "unraisablehook", signals.note_dropped)
     call = ctypes.CFUNCTYPE(None)(interrupted)
     monkeypatch.setattr("rig_cli.model.load_rig", lambda *_, **__: (call(), fails()))

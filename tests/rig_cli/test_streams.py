@@ -133,6 +133,28 @@ def test_a_second_ctrl_c_while_the_program_ends_keeps_the_exit_code() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+DROPPED = """
+import signal, sys, threading
+from rig_cli.signals import interrupt_at_signals
+signal.signal(signal.SIGINT, signal.default_int_handler)
+interrupt_at_signals()
+class Last:
+    def __del__(self): raise KeyboardInterrupt({by!r})
+try:
+    Last()
+    threading.Event().wait(30)
+except KeyboardInterrupt as stop:
+    sys.exit(f"interrupted {{stop}}")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to a thread")
+@pytest.mark.parametrize("by", ["", "SIGTERM"])
+def test_an_interruption_that_a_finalizer_drops_comes_again(by: str) -> None:
+    done = subprocess.run([sys.executable, "-c", DROPPED.format(by=by)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.strip()) == (1, f"interrupted {by}".strip())
+
+
 @pytest.mark.parametrize(("ignored", "code"), [(True, 0), (False, 130)])
 def test_a_hang_up_that_is_ignored_at_the_start_stays_ignored(ignored: bool, code: int) -> None:
     hang_up = (
