@@ -11,6 +11,9 @@ from rig_basics.thread_pool import ThreadPool
 from studies.study import Study, kind_named
 from studies.worker import answer_tile
 
+_LOOK_S = 0.5
+"""A Ctrl-C that comes just before a wait does not end it, so no wait is longer."""
+
 
 class Threads:
     """One tile per processor at a time; a single tile uses all processors."""
@@ -37,5 +40,5 @@ class Threads:
                     running[future] = tile
                 if not running:
                     return
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
                     yield running.pop(future), future.result()
