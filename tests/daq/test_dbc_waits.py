@@ -315,3 +315,18 @@ def test_a_gap_in_which_the_timestamps_begin_again_is_counted_by_the_hosts_time(
             data = encode(CanFrame(0x101, body + (ms % 2048).to_bytes(4, "little")))
             found += line.feed(RX, data, START_NS + (ms + 1) * MS)
     assert (line.losses["samples"], kinds(found)) == (2068, ["gap"])
+
+
+def test_a_frame_whose_time_waits_is_not_lost_when_the_sensor_starts_again() -> None:
+    """The last frame before the restart has a time 5 ms ahead, which the next frame would have explained."""
+    line = bus(dbc_text=STAMPED, x={**X, "timestamp": "Time"}, timeout_s=10.0)
+    found: Items = []
+    for ms in range(2000):
+        found += line.feed(RX, stamped(ms, ms + (5 if ms == 1999 else 0)), START_NS + (ms + 1) * MS)
+    for ms in range(2200, 2600):
+        body = (ms % 20_000).to_bytes(2, "little") + ((ms + 60) % 256).to_bytes(2, "little")
+        data = encode(CanFrame(0x101, body + (1000 * (ms - 2200)).to_bytes(4, "little")))
+        found += line.feed(RX, data, START_NS + (ms + 1) * MS)
+    found = ended(line, found)
+    assert "restart" in kinds(found)
+    assert samples(found) + line.losses["doubtful_frames"] == 2400

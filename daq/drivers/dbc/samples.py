@@ -131,6 +131,8 @@ class LaserStream:
         """Return the samples of frames that are placed by their counter."""
         out = self._damaged(order)
         for stretch in found:
+            if stretch.is_restart and self._times is not None:  # frames before it whose times wait
+                out += self._stamped(self._times, self._times.end(), order)
             out += self._lost(stretch)
             frames = Frames(stretch.rows.data, stretch.numbers)
             if stretch.is_restart:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby, pairwise
 
@@ -53,7 +53,7 @@ class World:
         return [*out, *stream.end()]
 
 
-def reads(until_ms: float, every_ms: float, stalls: list[tuple[float, float]] = []) -> list[float]:  # noqa: B006
+def reads(until_ms: float, every_ms: float, stalls: Sequence[tuple[float, float]] = ()) -> list[float]:
     """Ends of reads in ms; none within the stalls (begin, duration)."""
     ends = np.arange(every_ms, until_ms + 2 * every_ms, every_ms)
     kept = [end for end in ends.tolist() if not any(begin < end < begin + long for begin, long in stalls)]
