@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json, show
+from rig_cli.last_sentence import written_sentence
 from rig_cli.option_groups import COLUMNS, LOG_PART, OUTPUT, RECORDING
 from rig_cli.options import WHOLE_LOG, Json, LogSpan, Settings
 from rig_cli.share_progress import share_progress
@@ -80,8 +81,10 @@ def export(
 def _print_export(done: Exported) -> None:
     for name, count in done.rows.items():
         show(f"{name:10} {number_of(count, 'sample', form='9d')}")
-    for file in done.files:
-        notify(f"written to {file}")
+    if len(done.files) > 1:
+        for file in done.files:
+            notify(f"written to {file}")
+    show(written_sentence("exported", done.rows, len(done.missing), done.files))
 
 
 @Parameter(name="*", group=COLUMNS)
@@ -219,4 +222,4 @@ def _print_import(done: Imported) -> None:
             f"{device:10} {number_of(count, 'invalid reading', form='9d')}, "
             f"{number_of(done.gaps.get(device, 0), 'sample')} in gaps"
         )
-    notify(f"written to {done.path}")
+    show(written_sentence("imported", done.samples, 0, [done.path]))

@@ -15,6 +15,7 @@ from daq.log import open_log
 from daq.log.outcome import not_reached_of
 from rig_basics.texts import number_of
 from rig_cli.console import harmless, notify, show
+from rig_cli.last_sentence import campaign_sentence
 from rig_cli.words import length, stdout_console
 from rig_configs.schema import Rig
 
@@ -101,3 +102,4 @@ def print_campaign(found: dict[str, Any]) -> None:
     for row in found["tests"]:
         table.add_row(row["test"], row["log"] if row["state"] == "done" else row["state"], row["why"] or row["line"])
     stdout_console().print(table)
+    show(campaign_sentence(found))

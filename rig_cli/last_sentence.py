@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -127,3 +127,60 @@ def validation_sentence(points: Mapping[str, Mapping[str, Any]], passed: bool) -
         return "No point was compared: record one by rig test."
     fine = f"{', '.join(points)} {'passes' if len(points) == 1 else 'pass'}"
     return f"{fine}." if passed else f"{fine}, but the whole validation does not; the reason is above."
+
+
+def parameters_sentence(facts: Mapping[str, Any]) -> str:
+    """Return how many parameters a file contains, from how many logs, and which is known least.
+
+    Args:
+        facts: a file in the JSON object of `rig parameters show`.
+    """
+    known = facts["parameters"]
+    if not known:
+        return "The file contains no parameter."
+    name, least = max(known.items(), key=lambda item: float(item[1]["relative_std"]))
+    origin = f" from {number_of(len(facts['tests']), 'log')}" if facts["tests"] else ""
+    uncertain = f"{100 * least['relative_std']:.2g} % ({PARAMETER_SYMBOLS.get(name, name)})"
+    return f"{number_of(len(known), 'parameter')}{origin}, standard uncertainties up to {uncertain}."
+
+
+def plot_sentence(kind: str, files: Sequence[str], left: int) -> str:
+    """Return how many figures were drawn, where the last one is, and how many logs are not in any.
+
+    Args:
+        kind: kind of the figures.
+        files: paths of the figures, at least one.
+        left: number of logs that were not drawn.
+    """
+    place = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}"
+    others = f"; {number_of(left, 'log is', 'logs are')} not drawn, with the reason above" if left else ""
+    return f"{number_of(len(files), 'figure')} of kind {kind} drawn: {place}{others}."
+
+
+def written_sentence(done: str, samples: Mapping[str, int], missing: int, files: Sequence[Path]) -> str:
+    """Return what an export or import wrote, and whether all of it.
+
+    Args:
+        done: what was done, such as "exported".
+        samples: number of samples of each channel.
+        missing: number of parts of the recording that are missing from it.
+        files: files that were written.
+    """
+    whole = f"; {number_of(missing, 'part is', 'parts are')} missing, with the reason above" if missing else ""
+    amount = f"{number_of(sum(samples.values()), 'sample')} of {number_of(len(samples), 'channel')}"
+    place = f"{files[0]}" if len(files) == 1 else f"{number_of(len(files), 'file')}, the first {files[0]}"
+    return f"{amount} {done} to {place}{whole}."
+
+
+def campaign_sentence(found: Mapping[str, Any]) -> str:
+    """Return how many tests of a rig are done, and which one is next.
+
+    Args:
+        found: the JSON object of `rig test` without a test.
+    """
+    possible = [row for row in found["tests"] if row["state"] != "refused"]
+    to_do = [row["test"] for row in possible if row["state"] != "done"]
+    amount = f"{len(possible) - len(to_do)} of {number_of(len(possible), 'test')} done in {found['folder']}"
+    if not to_do:
+        return f"{amount}; next: rig identify {found['folder']}." if possible else "The rig can do no test."
+    return f"{amount}; next: rig test RIG {to_do[0]}."

@@ -16,6 +16,7 @@ from identification.compare import Change, ParameterComparison, short
 from identification.history import History
 from identification.joint.limits import ParameterLimit
 from rig_basics.texts import number_of
+from rig_cli.last_sentence import parameters_sentence
 from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
 from rig_configs.values_in_use import Origin
@@ -64,6 +65,7 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
             )
     if not facts["keeps_its_tests"]:
         console.print(Text("the file has too little of its tests to derive what limits it", "dim"), soft_wrap=True)
+    console.print(Text(parameters_sentence(facts)), soft_wrap=True)
 
 
 def _print_in_use(console: Console, rows: Mapping[str, Mapping[str, Any]]) -> None:

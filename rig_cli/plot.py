@@ -10,7 +10,8 @@ from cyclopts import Parameter
 
 from daq.errors import LogError
 from rig_basics.texts import number_of
-from rig_cli.console import notify, print_json
+from rig_cli.console import notify, print_json, show
+from rig_cli.last_sentence import plot_sentence
 from rig_cli.log_places import LogPlaces, logs_of
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Force, Json, Settings, what_if_words
@@ -98,10 +99,12 @@ def plot(
     else:
         if settings:
             print(what_if_words(settings))
-        for figure in drawn:
-            print(f"written to {figure['file']}")
+        for figure in drawn if len(drawn) > 1 else ():
+            show(f"written to {figure['file']}")
     for each in left:
         notify(f"not drawn: {each.reason}")
+    if drawn and not json:
+        show(plot_sentence(kind, [figure["file"] for figure in drawn], len(left)))
     return 0 if drawn and all(each.log in places.of_folders for each in left) else 2
 
 

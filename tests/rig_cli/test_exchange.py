@@ -214,7 +214,7 @@ def test_export_states_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_pat
     )
     assert code == 0
     assert "marks" in answer
-    assert "written to" in err
+    assert answer.endswith(f" exported to {tmp_path / 's.h5'}.\n")
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,14 @@ from daq.guided_tests.runner import TestDone
 from daq.replay import ReplayCheck
 from rig_cli.guided_test_result import against_plan, result_sentence
 from rig_cli.last_sentence import (
+    campaign_sentence,
     check_sentence,
     identify_sentence,
+    parameters_sentence,
+    plot_sentence,
     predict_sentence,
     validation_sentence,
+    written_sentence,
 )
 from rig_cli.log_page import log_sentence
 from rig_cli.main import run
@@ -208,3 +212,54 @@ def test_a_check_of_the_decoder_ends_with_what_differs(
         SimpleNamespace(topic=name, difference=each) for name, each in zip("ab", differences, strict=True)
     )
     assert replay_sentence(ReplayCheck(rows, until_ns, (), 1, 1)) == expected
+
+
+def test_a_parameters_file_ends_with_the_parameter_that_is_known_least() -> None:
+    known = {"k1_N_per_m": {"relative_std": 0.0015}, "zeta1": {"relative_std": 0.02}}
+    facts = {"parameters": known, "tests": [{}, {}]}
+    assert parameters_sentence(facts) == "2 parameters from 2 logs, standard uncertainties up to 2 % (ζ1)."
+    facts = {"parameters": {"k1_N_per_m": known["k1_N_per_m"]}, "tests": []}
+    assert parameters_sentence(facts) == "1 parameter, standard uncertainties up to 0.15 % (k1)."
+    assert parameters_sentence({"parameters": {}, "tests": []}) == "The file contains no parameter."
+
+
+def test_figures_end_with_their_number_and_place() -> None:
+    assert plot_sentence("bode", ["a.svg"], 0) == "1 figure of kind bode drawn: a.svg."
+    several = plot_sentence("slip", ["a.svg", "b.svg", "c.svg"], 1)
+    assert several == "3 figures of kind slip drawn: a.svg to c.svg; 1 log is not drawn, with the reason above."
+
+
+def test_an_export_ends_with_what_was_written() -> None:
+    assert written_sentence("exported", {"x": 5}, 0, [Path("a.csv")]) == "5 samples of 1 channel exported to a.csv."
+    several = written_sentence("exported", {"x": 5, "y": 4}, 1, [Path("a-x.csv"), Path("a-y.csv")])
+    assert several == (
+        "9 samples of 2 channels exported to 2 files, the first a-x.csv; 1 part is missing, with the reason above."
+    )
+
+
+@pytest.mark.parametrize(
+    ("states", "expected"),
+    [
+        (("done", "missing"), "1 of 2 tests done in out; next: rig test RIG point-A."),
+        (("not reached", "done"), "1 of 2 tests done in out; next: rig test RIG run-up."),
+        (("done", "done"), "2 of 2 tests done in out; next: rig identify out."),
+        (("refused", "done"), "1 of 1 test done in out; next: rig identify out."),
+        (("refused", "refused"), "The rig can do no test."),
+    ],
+)
+def test_the_list_of_tests_ends_with_the_next_one(states: tuple[str, str], expected: str) -> None:
+    rows = [{"test": name, "state": state} for name, state in zip(("run-up", "point-A"), states, strict=True)]
+    assert campaign_sentence({"rig": "virtual", "folder": "out", "tests": rows}) == expected
+
+
+def test_the_sentence_is_the_last_line_of_export_plot_and_the_list_of_tests(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = resting_rotor(tmp_path / "pluck.mcap")
+    for words, end in (
+        (["export", str(log), "-o", str(tmp_path / "x.mat")], f" exported to {tmp_path / 'x.mat'}."),
+        (["plot", "time", str(log), "-o", str(tmp_path / "x.svg")], f"1 figure of kind time drawn: {tmp_path}/x.svg."),
+        (["test", "virtual", "--out", str(tmp_path)], "; next: rig test RIG ring-down-y."),
+    ):
+        assert run(words) == 0
+        assert capsys.readouterr().out.splitlines()[-1].endswith(end)
