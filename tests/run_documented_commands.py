@@ -38,7 +38,7 @@ LONG = re.compile(
     r"rig (?:(?:basins|bench|calibrate|demo|live|map|reproduce|study|track LOG|driver check tilt --thorough)\b"
     r"|check .*--tap|test \S+ \w(?!.*--plan)|record (?!.*--until-silent)|replay .*--to)"
 )
-ORDERLY = {0, 130}  # after Ctrl-C
+ORDERLY = {0, 130, -signal.SIGINT}  # after Ctrl-C, which may come while Python ends; a shell shows 130 then, too
 NOT_CARRIED_OUT = {"tls://SCHEDULER": "needs machines with certificates; see tests/studies/test_dask_over_tls.py"}
 OWN_CODES = {
     "rig devices --ask --port": {3},  # this machine has no such ports
