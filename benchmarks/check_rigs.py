@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.acquisition.device_check import device_checks
+from daq.acquisition.life import Policy
 from daq.acquisition.observation import observe
 from daq.acquisition.session import Session
 from daq.acquisition.tap import tap_test
@@ -117,8 +118,7 @@ def failed_checks(name: str, seed: int, fault: Fault | None) -> dict[str, str]:
         x, y = (json.dumps(far.cables[laser].port) for laser in ("laser_y", "laser_x"))
         ports += [f"devices.laser_x.port={x}", f"devices.laser_y.port={y}"]
     rig = load_rig(name, settings=[*true, *ports, *(fault.stated if fault else ())])
-    session = Session(rig, far.clock, edge=far.edge)
-    session.lenient = True
+    session = Session(rig, far.clock, edge=far.edge, policy=Policy(lenient=True))
     if fault:
         fault.prepare(far)
     with session:

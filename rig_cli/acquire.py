@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from daq.acquisition.device_check import common_factor, device_checks, passed
+from daq.acquisition.life import COMMANDING, LISTENING, Policy
 from daq.acquisition.observation import observe, plain_rates
 from daq.acquisition.session import Session
 from daq.acquisition.tap import NoTap, tap_test
@@ -62,8 +63,8 @@ def check(
     """
     loaded = load_rig(rig, settings=settings or [])
     warnings = warn_of_unusual_settings(loaded)
-    session = Session(loaded, HostClock(time_scale))
-    session.lenient = True  # a device that differs from the rig file is a failed check here, not an error
+    # a device that differs from the rig file is a failed check here, not an error
+    session = Session(loaded, HostClock(time_scale), policy=Policy(lenient=True))
     with session:
         if zero:
             zero_counters(session)
@@ -172,7 +173,8 @@ def record(
         page_of_session(displays.page, loaded, None, settings or [], clock.rate, json) as page,
         foxglove_of_session(displays.foxglove, loaded, clock.rate, json) as connection,
     ):
-        session = Session(loaded, clock, identities, notify)
+        policy = LISTENING if listen else COMMANDING
+        session = Session(loaded, clock, identities, notify, policy=policy)
         with session.listen(name, facts) if listen else session.open():
             if not listen:
                 session.start_recording(name, facts)

@@ -18,8 +18,8 @@ from daq.calibration.encoder import MIN_CLOSINGS, check_senses, close_repeatedly
 from daq.calibration.lengths import BadLength, KnownPosition, positions_of
 from daq.calibration.line import TooFewPositions
 from daq.calibration.sensor import SensorSetup, calibrate as calibrate_sensor, read_positions, there_and_back
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.orders import RigOrders
 from daq.lockstep.rig import LockstepRig
 from daq.log.file import ReservedName
 from daq.log.numbering import next_number, one_at_a_time
@@ -267,7 +267,7 @@ def _encoder(session: Session, closings: Closings, operator: Any) -> _Outcome:
     def progress(text: str, share: float | None) -> None:
         notify(text)
 
-    locks = RigOrders(session, operator, Path(), progress).locks
+    locks = RigCommands(session, operator, Path(), progress).locks
     senses = check_senses(session, operator, locks, notify)
     closed = close_repeatedly(session, operator, locks, closings.closings, notify)
     found = judge(closed, senses, closings.lock_std_deg)

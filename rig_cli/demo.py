@@ -15,7 +15,6 @@ from cyclopts import Parameter
 from daq.acquisition.session import Session
 from daq.drivers.contract import AnswersOnRequest
 from daq.drivers.devices import devices_of
-from daq.errors import OperatorStop
 from daq.guided_test_kinds import point_of
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures, TestDone
@@ -312,13 +311,7 @@ class _Campaign:
 
 def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable[[str], None]:
     """Return the function of the page's stop. On simulated time only the thread that advances it may send."""
-    if not isinstance(far, LockstepRig):
-        return session.stop
-
-    def stop(reason: str) -> None:
-        session.trouble = session.trouble or OperatorStop(reason)
-
-    return stop
+    return session.request_stop if isinstance(far, LockstepRig) else session.stop
 
 
 def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -345,12 +338,12 @@ def _radio_check(path: Path, radio: Mapping[str, Any], since: int = 0) -> tuple[
 
     with open_log(path) as log:
         pipelines = pipelines_of(log)
-        radios = {name: pipeline for name, pipeline in pipelines.items() if isinstance(pipeline, CountsFrames)}
-        for _ in decoded(log, radios):
+        counting = {name: each.pipeline for name, each in pipelines.items() if isinstance(each.pipeline, CountsFrames)}
+        for _ in decoded(log, {name: pipelines[name] for name in counting}):
             pass
         losses = loads(log.metadata["summary"]["losses"])
-    counted = sum(int(losses[name]["radio_frames"]) for name in radios)
-    heard = next((p.heard_frames for p in radios.values() if p.heard_frames is not None), None)
+    counted = sum(int(losses[name]["radio_frames"]) for name in counting)
+    heard = next((p.heard_frames for p in counting.values() if p.heard_frames is not None), None)
     if heard is None:
         return {"log": path.name, "counted": counted, "dropped": 0}, since
     first = since + (heard[0] - since) % 65536

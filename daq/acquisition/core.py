@@ -18,10 +18,12 @@ from daq.acquisition.host_load import HostLoad
 from daq.acquisition.interlock_table import LINE_S, LOOK_S
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.least_motion import LeastMotion
+from daq.acquisition.life import Life, Policy, Stage
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.trips import Trips
+from daq.drivers.calibrated import Calibration
 from daq.drivers.contract import NamesCodes, NoticesLostSetUp, Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.errors import DeviceError, LinkLost, ProcedureError
@@ -128,14 +130,11 @@ class Core:
     Args:
         rig: the rig file.
         patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
-        driving: whether this session may turn the rotor. Sessions that only receive stop nothing.
+        policy: what the session may do. Sessions that only receive stop nothing.
+        life: stage of the session.
 
     Attributes:
-        commanding: whether findings of the interlocks end the run.
-        guarding: whether the interlocks are active. They are inactive while devices are opened and after they are
-            closed.
-        lenient: whether deviations from the rig file are only reported, as `rig check` requires.
-        closing: whether the session has been closed.
+        policy, life: see above.
         trouble: the first error that ended the run; None if there is none.
         notices: warnings shown to the operator. A run with warnings is not a clean run.
         bytes_in: number of bytes received, by device.
@@ -145,15 +144,18 @@ class Core:
         host: lateness of the host.
     """
 
-    def __init__(self, rig: Rig, patience: Callable[[float], float], *, driving: bool) -> None:
-        self._rig, self._patience, self._driving = rig, patience, driving
+    def __init__(self, rig: Rig, patience: Callable[[float], float], policy: Policy, life: Life) -> None:
+        self._rig, self._patience = rig, patience
+        self.policy: Policy = policy
+        self.life: Life = life
         self._known = devices_of(rig.devices)
         self.recent: Recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
         self.rates: RateWatches = RateWatches(rig.devices, patience)
-        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, LeastMotion.of(rig), driving=driving)
+        least = LeastMotion.of(rig)
+        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, least, driving=policy.commands)
         self.host: HostLoad = HostLoad(LOOK_S, patience)
         self.pipelines: dict[str, Pipeline] = {}
-        self.commanding = self.guarding = self.lenient = self.closing = False
+        self._calibrations = {name: Calibration.of(device.settings) for name, device in self._known.items()}
         self.trouble: Exception | None = None
         self._end: Note | None = None  # the event that ended the run
         self.notices: list[str] = []
@@ -260,7 +262,7 @@ class Core:
                 yield from self._emergency(item)
             elif item.kind == "undecodable":
                 yield from self.warn(item.text)
-            if self.guarding and item.kind not in ("reply", "acknowledge"):
+            if self.life.guarding and item.kind not in ("reply", "acknowledge"):
                 stops = self.interlocks.happened(item)
                 yield from self._act_on(stops, host_ns)
                 if not stops and item.kind in _NOT_CLEAN:
@@ -271,7 +273,7 @@ class Core:
         found: list[Batch | DeviceEvent] = []
         if device not in self._undecodable:
             try:
-                found = self.pipelines[device].feed(direction, data, host_ns)
+                found = self._calibrations[device].decode(self.pipelines[device], direction, data, host_ns)
                 found += self.rates.feed(found, host_ns)
             except Exception as error:  # a bug of the decoder
                 self._undecodable.add(device)
@@ -281,7 +283,7 @@ class Core:
 
     def _emergency(self, event: DeviceEvent) -> Iterator[Order]:
         words = self._known[event.device].driver.words(event)
-        if words and not self.closing:
+        if words and self.life.stage is not Stage.CLOSED:
             yield from self.warn(f"{event.device}: emergency {words}. The run is not clean")
 
     def _act_on(self, found: Iterable[DeviceEvent | Stop], host_ns: int) -> Iterator[Order]:
@@ -289,9 +291,9 @@ class Core:
         for item in found:
             if isinstance(item, DeviceEvent):
                 yield Note(self._explained(item), host_ns)
-            elif self.guarding and self.commanding and not self.lenient:
+            elif self.life.guarding and self.policy.stops:
                 yield from self._tripped(item, host_ns)
-            elif self.guarding:
+            elif self.life.guarding:
                 yield from self.warn(item.text)
 
     def _explained(self, event: DeviceEvent) -> DeviceEvent:
@@ -326,7 +328,7 @@ class Core:
         if self._rig.roles.speed is not None:
             yield StopRotor()
             self.interlocks.commanded(0.0)
-        elif first and self.commanding and self.interlocks.turning(now_ns):
+        elif first and self.policy.commands and self.interlocks.turning(now_ns):
             yield Warn(f"STOP THE ROTOR: {str(error).removesuffix(f'; {self._stopped}')}")
         if first:
             self._end = Note(DeviceEvent("stop", HOST, str(error)), now_ns)
@@ -338,10 +340,10 @@ class Core:
         The run ends if the rotor turns, while devices are opened, and if no device is left. Otherwise the run continues
         with a gap of one device. An error other than LinkLost is a bug of this software and always ends the run.
         """
-        turning = self._driving and self.interlocks.turning(now_ns)
+        turning = self.policy.commands and self.interlocks.turning(now_ns)
         if isinstance(error, LinkLost):
             self.gone[device] = str(error)
-        if turning or not self.guarding or not isinstance(error, LinkLost):
+        if turning or not self.life.guarding or not isinstance(error, LinkLost):
             yield from self.fail(error, now_ns)
             return
         if len(self.gone) == len(self._known):  # no device is left
@@ -404,7 +406,7 @@ class Core:
         yield from self._act_on(self.interlocks.tick(now_ns), now_ns)
         for event in self.trips.tick(now_ns, self.recent):
             yield Note(event, now_ns)
-        if drive is not None and self.guarding:
+        if drive is not None and self.life.guarding:
             yield from self._look_at_drive(drive, now_ns)
         if disk is not None and disk.slow != self._disk_slow:
             yield self._disk_event(disk, now_ns)
@@ -456,7 +458,7 @@ class Core:
         """Warn of devices that send no bytes. The interlocks decide whether the run ends."""
         limit_ns = self._patience(LINE_S) * 1e9
         silent = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
-        certain = silent & self._suspect if self.commanding and self.guarding else set[str]()
+        certain = silent & self._suspect if self.policy.commands and self.life.guarding else set[str]()
         for name in sorted(certain - self.mute):  # found twice, so the host was not suspended
             text = f"{name}: silent for {LINE_S:g} s. Look at its cable, its power, its battery"
             yield Note(DeviceEvent("silent", HOST, text, {"of": name}), now_ns)
@@ -467,7 +469,7 @@ class Core:
 
     def report_lost_set_ups(self, now_ns: int) -> Iterator[Order]:
         """Warn of devices that send, but no longer as they were set up; of each once."""
-        found = self.altered if self.commanding and self.guarding else {}
+        found = self.altered if self.policy.commands and self.life.guarding else {}
         for name, sign in found.items():
             if self._altered_before.get(name) != sign:
                 text = f"{name}: {sign}. It is set up again while the rotor is at rest"
@@ -490,7 +492,7 @@ class Core:
     @property
     def calm(self) -> bool:
         """Whether the interlocks are active and the rotor is at rest, so that samples may be processed later."""
-        return self.guarding and self.interlocks.resting
+        return self.life.guarding and self.interlocks.resting
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
         """Return the losses of every device since the start of the log, including silences that have not ended."""

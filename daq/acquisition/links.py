@@ -52,7 +52,7 @@ class Links:
         lost: called with the name of a device whose link failed, and the error.
 
     Attributes:
-        refused: reason why a device was not opened, by device. It is only filled if the core is `lenient`; otherwise
+        refused: reason why a device was not opened, by device. It is only filled if the policy is `lenient`; otherwise
             the first such device raises.
     """
 
@@ -94,11 +94,11 @@ class Links:
 
     @contextlib.contextmanager
     def refusing(self, name: str, *errors: type[Exception]) -> Generator[None]:
-        """Context of the opening of a device. Its errors are raised, or kept in `refused` if the core is lenient."""
+        """Context of the opening of a device. Its errors are raised, or kept in `refused` if the policy is lenient."""
         try:
             yield
         except errors as error:
-            if not self._core.lenient:
+            if not self._core.policy.lenient:
                 raise
             self.refused[name] = str(error)
             if name in self._readers:
@@ -196,7 +196,7 @@ class Links:
             LinkLost: the link of the device is lost.
         """
         if name not in self._readers:
-            raise LinkLost(self.refused[name])
+            raise LinkLost(self.refused.get(name, f"{name}: its port is not open"))
         self._readers[name].send(data)
 
     def answered(self, name: str, text: str) -> None:
@@ -230,44 +230,41 @@ class Links:
 
     # --- devices that return -------------------------------------------------------------------------------------
 
-    def attend(self, command: RotorCommand | None) -> Iterator[Order]:
+    def attend(self, command: RotorCommand) -> Iterator[Order]:
         """Try to reopen devices that were unplugged or have lost power, and set up those that have lost their settings.
 
         The method is called in the waits of the session, so that no second thread talks to a device. While a commanded
         rotor turns, no attempt is made, since a dialogue would delay a stop.
 
         Args:
-            command: rotor command of the session; None for sessions that only receive.
+            command: rotor command of the session.
         """
         core = self._core
         if self._attending or self._clock.wall_s() < self._retry_at_s:
             return
-        mute = core.mute if command is not None else set[str]()
-        altered = set(core.altered) if command is not None and core.guarding else set[str]()
-        if not (core.gone or mute or altered):
-            return
-        if command is not None and command.turning():
+        unwell = core.mute | set(core.altered) if core.policy.commands and core.life.guarding else set[str]()
+        if not (core.gone or unwell) or (core.policy.commands and command.turning()):
             return
         self._attending = True
         try:
             for name in list(core.gone):
                 yield from self.reopened(name, command)
             yield from core.report_lost_set_ups(self._clock.now_ns())  # found between two checks
-            for name in sorted(mute | altered):
-                if command is not None and name not in self.refused and (yield from self._woken(name, command)):
+            for name in sorted(unwell - self.refused.keys()):
+                if (yield from self._woken(name, command)):
                     yield from core.restored(name, self._clock.now_ns())
         finally:
             self._attending = False
             self._retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
 
-    def reopened(self, name: str, command: RotorCommand | None) -> Iterator[Order]:
+    def reopened(self, name: str, command: RotorCommand) -> Iterator[Order]:
         """Open a lost device on the ports where it may have returned. A device with another identity is refused.
 
         Its pipeline continues, so that lost samples are counted as at any other gap.
 
         Args:
             name: name of the device with the lost link.
-            command: rotor command of the session; None for sessions that only receive.
+            command: rotor command of the session.
         """
         device, old = self._devices[name], self._readers[name]
         for port in self._edge.places(device.line.port):
@@ -279,7 +276,7 @@ class Links:
             self._readers[name] = self._reader(name, link)
             self._read(name)
             try:
-                if command is not None:
+                if self._core.policy.commands:
                     self._set_up_again(name, command)
             except (DeviceError, LinkLost) as error:
                 self._readers[name].stop()

@@ -31,10 +31,11 @@ class RotorCommand:
         check: raises the error that ended the run, if any.
 
     Attributes:
-        drive: speed source; None if the rig has none.
-        drive_name: name of the speed source's device; empty if the rig has none.
-        locks: pendulum locks; None if the rig has none that can be commanded.
-        locks_name: name of the locks' device; empty if the rig has none.
+        drive: speed source; None if the rig has none, or if the session only receives.
+        drive_name: name of the speed source's device; empty without one.
+        locks: pendulum locks; None if the rig has none that can be commanded, or if the session only receives.
+        locks_name: name of the locks' device; empty without one.
+        started: whether the drive was commanded, so that it must be stopped.
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class RotorCommand:
         self.drive_name: str = ""
         self.locks: LockControl | None = None
         self.locks_name: str = ""
+        self.started: bool = False
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
-        for name, device in devices.items():
+        for name, device in devices.items() if core.policy.commands else ():
             if isinstance(device.driver, TurnsRotor):
                 self.drive_name = name
                 self.drive = device.driver.speed_source(device.settings, partial(send, name), clock, guard)
@@ -96,6 +98,12 @@ class RotorCommand:
         """Pass an acknowledgement of a device to the locks."""
         if self.locks is not None:
             self.locks.heard(event)
+
+    def start(self) -> None:
+        """Set up the drive for commands."""
+        if self.drive is not None:
+            self.started = True
+            self.drive.start()
 
     def quick_stop(self) -> None:
         """Stop the drive. If its link is lost, its heartbeat watchdog stops it."""

@@ -18,6 +18,7 @@ from daq.acquisition.compiled import compile_acquisition
 from daq.acquisition.core import Core, Happened, Keep, Note, Order, StopRotor, Warn, WriteHealth
 from daq.acquisition.edge import Edge, real_edge
 from daq.acquisition.interlock_table import LOOK_S
+from daq.acquisition.life import COMMANDING, Life, Policy, Stage, Step, guarded
 from daq.acquisition.links import Links
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.reader import keep_heap_whole
@@ -51,6 +52,7 @@ class Session:
         identities: identities of the devices. Used by sessions that only receive. `open` queries the devices itself.
         notify: called with one line of text for the operator.
         edge: ports and disk; those of the machine if None.
+        policy: what the session may do.
     Raises:
         RigFileError: two devices use the same port.
         LinkLost: `open` or `listen`: a port cannot be opened.
@@ -58,6 +60,9 @@ class Session:
             error ended it: the rotor still turns.
 
     Attributes:
+        life: stage of the session.
+        rotor: speed source, locks and state of the rotor.
+        devices: links of the devices.
         device_event_observers: called with every event of a device.
         host_event_observers: called with every event of the host and its time, ns.
         health_observers: called with every health report and its time, ns.
@@ -71,6 +76,7 @@ class Session:
         identities: Mapping[str, Mapping[str, Any]] | None = None,
         notify: Callable[[str], None] = lambda text: None,
         edge: Edge | None = None,
+        policy: Policy = COMMANDING,
     ) -> None:
         self.rig: Rig = rig
         self.clock: HostClock = clock
@@ -79,40 +85,40 @@ class Session:
         self.host_event_observers: list[Callable[[DeviceEvent, int], None]] = []
         self.health_observers: list[Callable[[Mapping[str, Any], int], None]] = []
         self.rotor_warning: str = ""
-        self._edge = edge or real_edge()
+        self.life: Life = Life()
         self._known = devices_of(rig.devices)
         refuse_shared_ports(rig.devices)  # the rig may come from a log and not from a checked file
         self._notify = notify
-        self._core = Core(rig, clock.patience, driving=True)
-        self._log = SessionLog(rig, clock, self.identities, self._core, self._edge.disk)
-        self._links: Links | None = None
-        self._command: RotorCommand | None = None
+        edge = edge or real_edge()
+        core = self._core = Core(rig, clock.patience, policy, self.life)
+        self.devices: Links = Links(self._known, clock, edge, core, self.identities, self._on_bytes, self._on_link_lost)
+        self.rotor: RotorCommand = RotorCommand(core, self._known, self.send, clock, self.check)
+        self._log = SessionLog(rig, clock, self.identities, core, edge.disk)
         self._ticking: Repeated | None = None
-        self._opened = False
-        self._commanded = False  # whether the drive was set up, so that it must be stopped
+        self._stop_reason: str | None = None  # of a stop that was requested and not yet carried out
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
     def open(self) -> Session:
         """Open every link, identify the devices and start their streams."""
+        if not self.policy.commands:
+            raise ValueError("a session that only receives begins with `listen`")
         try:
-            links = self._open_links()
-            self._core.commanding = True
-            self._command = RotorCommand(self._core, self._known, self.send, self.clock, self.check)
-            links.read()
-            links.start_streams()
+            self._open_links()
+            self.life.go(Step.START)
+            self.devices.read()
+            self.devices.start_streams()
             for name, identity in self.identities.items():
                 if text := identity.get("warning"):
                     self._execute(self._core.warn(f"{name}: {text}"))
-            if self._command.drive is not None and self._command.drive_name not in links.refused:
-                self._commanded = True
-                with links.refusing(self._command.drive_name, DeviceError, LinkLost):
-                    self._command.drive.start()
+            if self.rotor.drive_name not in self.devices.refused:
+                with self.devices.refusing(self.rotor.drive_name, DeviceError, LinkLost):
+                    self.rotor.start()
             self._wait_alive("every device to send samples")
             # bytes from the port buffers were delayed and would disturb the clock maps
-            self._log.renew_pipelines(links, None)
+            self._log.renew_pipelines(self.devices, None)
             self._wait_alive("every device to continue to send samples")
-            self._start_watching()
+            self._watch()
         except BaseException as error:
             self.close(error)
             raise
@@ -127,40 +133,34 @@ class Session:
         Args:
             path: of the log.
             metadata: facts of the run.
+        Raises:
+            ValueError: the policy of the session is to command the rig.
         """
-        self._core = self._log.core = Core(self.rig, self.clock.patience, driving=False)
+        if self.policy.commands:
+            raise ValueError("a session that only receives needs the policy `LISTENING`")
         try:
-            links = self._open_links()
+            self._open_links()
+            self._watch()
             self.start_recording(path, metadata)
-            links.read()
-            self._start_watching()
+            self.devices.read()
         except BaseException as error:
             self.close(error)
             raise
         return self
 
-    def _open_links(self) -> Links:
+    def _open_links(self) -> None:
         keep_heap_whole()
         compile_acquisition()
-        links = Links(
-            self._known, self.clock, self._edge, self._core, self.identities, self._on_bytes, self._on_link_lost
-        )
-        self._links = links  # before `open`, so that `close` closes the links if one of them fails
-        links.open()
-        return links
+        self.life.go(Step.OPEN)
+        self.devices.open()
 
-    @property
-    def _open(self) -> Links:
-        assert self._links is not None, "a session that is not open has no lines"
-        return self._links
-
-    def _start_watching(self) -> None:
-        self._opened = self._core.guarding = True
+    def _watch(self) -> None:
+        self.life.go(Step.WATCH)
         # an error in a tick ends the run, since disk and silence would no longer be monitored
-        self._ticking = self.clock.every(LOOK_S, self._tick, "health", self._fail)
+        self._ticking = self.clock.every(LOOK_S, self._tick, "health", self.fail)
 
     def __enter__(self) -> Session:
-        return self if self._links is not None else self.open()
+        return self if self.life.stage is not Stage.NEW else self.open()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -176,31 +176,33 @@ class Session:
             DeviceError: the rotor turns or may turn, and `because` is None. A `lenient` session has it in
                 `rotor_warning` only.
         """
-        if self._core.closing:
+        if self.closed:
             return
-        self._core.guarding = False  # streams that end from here on were ended by the session
-        self.rotor_warning = "the wait for the rotor to stop was interrupted"
+        left = self.life.go(Step.CLOSE)  # streams that end from here on were ended by the session
         at_rest: bool | None = False
         try:
-            at_rest, self.rotor_warning = self._stop_devices()
+            if left in (Stage.NEW, Stage.OPENING):
+                at_rest = True
+            else:
+                self.rotor_warning = "the wait for the rotor to stop was interrupted"
+                at_rest, self.rotor_warning = self._stop_devices(guarded(left))
         finally:
             try:
                 if self._log.recorder is not None:
                     ended = self._ended(because) or "session closed"
                     self.stop_recording({"ended": f"{ended}; {self.rotor_warning}" if self.rotor_warning else ended})
             finally:
-                self._core.closing = True
+                self.life.go(Step.FINISH)
                 if self._ticking is not None:
                     self._ticking.stop()
-                if self._links is not None:
-                    self._links.close()
-        if not at_rest and because is None and not self.lenient:
+                self.devices.close()
+        if not at_rest and because is None and not self.policy.lenient:
             raise DeviceError(self.rotor_warning)
 
     @property
     def closed(self) -> bool:
         """Whether the session has ended: the log is complete and the links are closed."""
-        return self._core.closing
+        return self.life.stage is Stage.CLOSED
 
     def _ended(self, because: BaseException | None) -> str:
         """Return the text of the error that ended the session or a log; empty if there is none."""
@@ -214,32 +216,32 @@ class Session:
 
     def _reach_drive(self) -> bool:
         """Open the drive's link again if it was lost. Return whether it was lost and is open now."""
-        links, command = self._links, self._command
-        if links is None or command is None:
-            return False
-        name = command.drive_name
+        name = self.rotor.drive_name
         if name not in self._core.gone:
             return False
-        self._execute(links.reopened(name, command))
+        self._execute(self.devices.reopened(name, self.rotor))
         return name not in self._core.gone
 
-    def _stop_devices(self) -> tuple[bool, str]:
+    def _stop_devices(self, watched: bool) -> tuple[bool, str]:
         """Bring the rotor to rest and stop the streams. A lost device does not prevent the stop of the others.
+
+        Args:
+            watched: whether all devices had been opened.
 
         Returns:
             Whether the rotor is at rest (True if this session does not turn it), and a warning if the rotor may turn
             or the drive may not have released it; empty otherwise.
         """
-        if self._command is None or self._links is None:
+        if not self.policy.commands:
             return True, ""
-        drive = self._command.drive_name
-        if drive in self._links.refused and not self._commanded:
-            self._links.stop_streams()
+        drive = self.rotor.drive_name
+        if drive in self.devices.refused and not self.rotor.started:
+            self.devices.stop_streams()
             return True, ""
-        released = self._command.bring_to_rest(self._notify, self._opened, self._reach_drive)
-        self._links.stop_streams()
+        released = self.rotor.bring_to_rest(self._notify, watched, self._reach_drive)
+        self.devices.stop_streams()
         at_rest = self.rotor_at_rest()
-        if released or not self._opened or (at_rest and not drive):
+        if released or not watched or (at_rest and not drive):
             return True, ""
         if at_rest:
             text = f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
@@ -256,8 +258,8 @@ class Session:
             silent = self._silent()
             if self.trouble is not None or not silent:
                 raise
-            if self.lenient:
-                self._open.refused.update({name: self._received(name) for name in silent})
+            if self.policy.lenient:
+                self.devices.refused.update({name: self._received(name) for name in silent})
                 return
             raise DeviceError(f"{error}: {'; '.join(map(self._received, silent))}") from error
 
@@ -266,7 +268,7 @@ class Session:
         return [
             name
             for name, device in self._known.items()
-            if name not in self._open.refused
+            if name not in self.devices.refused
             and not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
         ]
 
@@ -286,7 +288,7 @@ class Session:
         Raises:
             LinkLost: the link of the device is lost.
         """
-        self._open.send(name, data)
+        self.devices.send(name, data)
 
     def _on_bytes(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
         """Pass the bytes sent to a device, and then the bytes received from it, to the core."""
@@ -298,16 +300,13 @@ class Session:
     def _on_link_lost(self, name: str, error: Exception) -> None:
         self._execute(self._core.lost(name, error, self.clock.now_ns()))
 
-    def _fail(self, error: Exception) -> None:
-        self._execute(self._core.fail(error, self.clock.now_ns()))
-
     def _tick(self) -> None:
         with self._log.changes:
-            recorder, command = self._log.recorder, self._command
+            recorder = self._log.recorder
             self._execute(
                 self._core.tick(
                     self.clock.now_ns(),
-                    command.drive_state() if command is not None else None,
+                    self.rotor.drive_state(),
                     recorder.look() if recorder is not None else None,
                     recorder.trouble if recorder is not None else None,
                 )
@@ -320,8 +319,8 @@ class Session:
                 case Keep():
                     if recorder is not None:
                         keep(recorder, order)
-                    if self._command is not None and order.direction == RX:
-                        self._command.notice(order.device, self._core.pipelines[order.device])
+                    if order.direction == RX:
+                        self.rotor.notice(order.device, self._core.pipelines[order.device])
                 case Happened(event):
                     self._on_device_event(event)
                 case Note(event, host_ns):
@@ -334,16 +333,15 @@ class Session:
                 case Warn(text):
                     self._notify(text)
                 case StopRotor():
-                    if self._command is not None:
-                        self._command.quick_stop()
+                    self.rotor.quick_stop()
 
     def _on_device_event(self, event: DeviceEvent) -> None:
         for observe in self.device_event_observers:
             observe(event)
         if event.kind == "reply":
-            self._open.answered(event.device, event.text)
-        elif event.kind == "acknowledge" and self._command is not None:
-            self._command.acknowledged(event)
+            self.devices.answered(event.device, event.text)
+        elif event.kind == "acknowledge":
+            self.rotor.acknowledged(event)
 
     # --- state ---------------------------------------------------------------------------------------------------
 
@@ -362,10 +360,6 @@ class Session:
         """The first error that ended the run; None if there is none."""
         return self._core.trouble
 
-    @trouble.setter
-    def trouble(self, error: Exception | None) -> None:
-        self._core.trouble = error
-
     @property
     def notices(self) -> list[str]:
         """Warnings shown to the operator. A run with warnings is not a clean run."""
@@ -377,18 +371,14 @@ class Session:
             self._execute(self._core.warn(text))
 
     @property
-    def lenient(self) -> bool:
-        """Whether deviations from the rig file are only reported, as `rig check` requires."""
-        return self._core.lenient
-
-    @lenient.setter
-    def lenient(self, value: bool) -> None:
-        self._core.lenient = value
+    def policy(self) -> Policy:
+        """What the session may do."""
+        return self._core.policy
 
     @property
     def unopened(self) -> Mapping[str, str]:
-        """Reasons why devices are not open, by device; only a `lenient` session has such devices."""
-        return {**self._core.gone, **self._open.refused}
+        """Reasons why devices are not open, by device; only a `lenient` policy permits such devices."""
+        return {**self._core.gone, **self.devices.refused}
 
     @property
     def drive(self) -> SpeedControl:
@@ -397,9 +387,9 @@ class Session:
         Raises:
             DeviceError: the session has none.
         """
-        if self._command is None or self._command.drive is None:
+        if self.rotor.drive is None:
             raise DeviceError(f"rig {self.rig.name} has no open speed source: its rotor cannot be turned by command")
-        return self._command.drive
+        return self.rotor.drive
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -419,7 +409,7 @@ class Session:
     @property
     def silent_s(self) -> float:
         """Time since any device sent bytes, wall s."""
-        return self.clock.wall_s() - self._open.heard_s()
+        return self.clock.wall_s() - self.devices.heard_s()
 
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
         """Return the newest samples of a channel.
@@ -443,7 +433,7 @@ class Session:
 
         Devices that never describe themselves return (True, "").
         """
-        with self._open.unread(name):
+        with self.devices.unread(name):
             pipeline = self._core.pipelines[name]
             return (pipeline.has_reported, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
 
@@ -451,7 +441,7 @@ class Session:
         """Return the stated standard uncertainty of the newest times, ns, by device with a clock."""
         out: dict[str, float] = {}
         for name, pipeline in self._core.pipelines.items():
-            with self._open.unread(name):
+            with self.devices.unread(name):
                 if isinstance(pipeline, StatesClockError):
                     out[name] = pipeline.clock_std_ns
         return out
@@ -467,12 +457,12 @@ class Session:
         Args:
             events: of the checked time span.
         """
-        happened, command = list(events), self._command
+        happened = list(events)
         return {
             name: device.driver.checks(
                 device.settings,
                 self._core.pipelines[name],
-                command.drive if command is not None and name == command.drive_name else None,
+                self.rotor.drive if name == self.rotor.drive_name else None,
                 [event for event in happened if event.device == name],
             )
             for name, device in self._known.items()
@@ -536,25 +526,31 @@ class Session:
         """
         if self._log.recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
-        self._log.begin(self._open, path, metadata, before_s)
+        self.life.after(Step.RECORD)  # refused before the file is created
+        self._log.begin(self.devices, path, metadata, before_s)
+        self.life.go(Step.RECORD)
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         """End the log and return its path. Losses and the reason of the end are written to its summary."""
-        return self._log.end(self._open, lambda: self._ended(None) or "the test's end", summary)
+        self.life.go(Step.END_LOG)
+        return self._log.end(self.devices, lambda: self._ended(None) or "the test's end", summary)
 
     # --- waiting and commands ------------------------------------------------------------------------------------
 
     def check(self) -> None:
         """Raise the error that ended the run, if any, and try to reopen devices with a lost link."""
-        core, command = self._core, self._command
-        if core.trouble is None and command is not None and command.dropped_out and core.guarding:
+        core = self._core
+        if self._stop_reason is not None:
+            reason, self._stop_reason = self._stop_reason, None
+            self.stop(reason)
+        if core.trouble is None and self.rotor.dropped_out and self.life.guarding:
             end = self.clock.wall_s() + 2.0  # the core stops the rotor and waits for the drive's reason
             while core.trouble is None and self.clock.wall_s() < end:
                 self.clock.wait(0.01)
         if core.trouble is not None:
             raise core.trouble
-        if self._opened:
-            self._execute(self._open.attend(command))
+        if self.life.guarding:
+            self._execute(self.devices.attend(self.rotor))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition is true.
@@ -614,12 +610,22 @@ class Session:
             DeviceError: a device that guards the rotor is missing or has failed.
             ProcedureError: the speed exceeds the limit.
         """
-        assert self._command is not None
-        self._command.permit(rpm)
+        self.rotor.permit(rpm)
 
     def stop(self, reason: str) -> None:
         """End the run for the operator. The drive gets the stop immediately, in the caller's thread."""
-        self._execute(self._core.fail(OperatorStop(reason), self.clock.now_ns()))
+        self.fail(OperatorStop(reason))
+
+    def request_stop(self, reason: str) -> None:
+        """End the run for the operator at the next check, in the thread that checks.
+
+        On simulated time only the thread that advances it may send.
+        """
+        self._stop_reason = reason
+
+    def fail(self, error: Exception) -> None:
+        """End the run with an error, and stop the rotor immediately, in the caller's thread."""
+        self._execute(self._core.fail(error, self.clock.now_ns()))
 
     def command_node(self, action: str) -> None:
         """Send a command for the pendulum locks and wait for its acknowledgement.
@@ -627,10 +633,10 @@ class Session:
         Raises:
             DeviceError: the command was refused (with the reason) or not acknowledged, or the rig has no such locks.
         """
-        if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
+        if self.rotor.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._core.interlocks.counters_set()
-        self._command.locks.command(action, self.check)
+        self.rotor.locks.command(action, self.check)
         self._core.interlocks.counters_set()  # an angle between the two may still be the old one
 
     def measure_round_trip(self, device: str) -> float | None:
@@ -639,10 +645,10 @@ class Session:
         Raises:
             LinkLost: the connection to the device is lost.
         """
-        command = self._command
-        if command is None or command.locks_name != device or not isinstance(command.locks, MeasuresRoundTrip):
+        locks = self.rotor.locks
+        if self.rotor.locks_name != device or not isinstance(locks, MeasuresRoundTrip):
             return None
-        return command.locks.measure_round_trip()
+        return locks.measure_round_trip()
 
 
 def _not_at_rest(at_rest: bool | None) -> str:

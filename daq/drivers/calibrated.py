@@ -1,4 +1,4 @@
-"""Calibration of displacement sensors, applied where pipelines are made: once, for every driver, live and in replay.
+"""Calibration of displacement sensors, applied where pipelines are fed: once, for every driver, live and in replay.
 
 A driver converts what its sensor reports with range and lever. The displacement that follows is
 
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from daq.drivers.contract import Pipeline
 from daq.items import RX, Batch, DeviceEvent
@@ -22,31 +22,52 @@ from rig_configs.device import DeviceSettings, displacement_tables
 _FIELD = "displacement_m"
 
 
-def calibrated(pipeline: Pipeline, settings: DeviceSettings) -> Pipeline:
-    """Return the pipeline with the calibration of its settings applied to its displacements.
+@dataclass(frozen=True)
+class Calibration:
+    """Calibration of one device.
 
-    The same object is returned, since drivers read the attributes of their own pipelines. Without a calibration (factor
-    1, offset 0, least delay 0) it is not changed.
+    Attributes:
+        lines: gain factor, and offset in m, by topic; without channels that need no correction.
+        least_delay_ns: least delay of the device's bytes, ns.
     """
-    lines = {table.topic: (table.gain_factor, table.offset_m) for table in displacement_tables(settings)}
-    lines = {topic: line for topic, line in lines.items() if line != (1.0, 0.0)}
-    delay_ns = round(settings.least_delay_s * 1e9)
-    if not lines and not delay_ns:
-        return pipeline
-    decode = pipeline.feed
 
-    def corrected(item: Batch | DeviceEvent) -> Batch | DeviceEvent:
-        if not isinstance(item, Batch) or item.channel.topic not in lines:
+    lines: Mapping[str, tuple[float, float]]
+    least_delay_ns: int
+
+    @classmethod
+    def of(cls, settings: DeviceSettings) -> Calibration:
+        """Return the calibration in the settings of a device."""
+        lines = {table.topic: (table.gain_factor, table.offset_m) for table in displacement_tables(settings)}
+        needed = {topic: line for topic, line in lines.items() if line != (1.0, 0.0)}
+        return cls(needed, round(settings.least_delay_s * 1e9))
+
+    def decode(self, pipeline: Pipeline, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
+        """Feed a pipeline and return its items with the calibration applied; see `Pipeline.feed`."""
+        items = pipeline.feed(direction, data, host_ns - self.least_delay_ns if direction == RX else host_ns)
+        return [self._corrected(item) for item in items] if self.lines else items
+
+    def _corrected(self, item: Batch | DeviceEvent) -> Batch | DeviceEvent:
+        if not isinstance(item, Batch) or item.channel.topic not in self.lines:
             return item
-        gain, offset_m = lines[item.channel.topic]
+        gain, offset_m = self.lines[item.channel.topic]
         return replace(item, columns={**item.columns, _FIELD: gain * item.columns[_FIELD] + offset_m})
 
-    def feed(direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        sent_ns = host_ns - delay_ns if direction == RX else host_ns
-        return [corrected(item) for item in decode(direction, data, sent_ns)]
 
-    pipeline.feed = feed
-    return pipeline
+@dataclass(frozen=True)
+class CalibratedPipeline:
+    """A pipeline and the calibration of its device; it is fed like the pipeline."""
+
+    pipeline: Pipeline
+    calibration: Calibration
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """Number of losses so far, by kind; see Pipeline."""
+        return self.pipeline.losses
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
+        """Decode the bytes of one read or write; see Pipeline."""
+        return self.calibration.decode(self.pipeline, direction, data, host_ns)
 
 
 def calibrations_of(devices: Mapping[str, DeviceSettings]) -> dict[str, str]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from daq.channels import CHANNELS, Channel
 from daq.clock import CLOCK_SEED
-from daq.drivers.calibrated import calibrated
 from daq.drivers.contract import DeviceLine, Driver, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
@@ -53,8 +52,8 @@ class Device:
         return self.driver.played(self.settings, identity)
 
     def pipeline(self, identity: Mapping[str, Any]) -> Pipeline:
-        """See Driver. The samples of a displacement sensor are corrected by its calibration."""
-        return calibrated(self.driver.pipeline(self.name, self.settings, identity), self.settings)
+        """See Driver. The samples of a displacement sensor are not yet corrected by its calibration."""
+        return self.driver.pipeline(self.name, self.settings, identity)
 
 
 def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:

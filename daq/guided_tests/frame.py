@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from daq.guided_test_kinds import GuidedTestRequest
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import State, StateObservation, StateTable, StateView
 from daq.signals.speed_agreement import SPEED_TOLERANCE
 from rig_basics.units import RPM
@@ -59,12 +59,12 @@ def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple
         )
 
     ready = State(
-        "make ready", does="make ready to turn the rotor", enter=RigOrders.make_ready, actor="rotor", usual_s=0.2
+        "make ready", does="make ready to turn the rotor", enter=RigCommands.make_ready, actor="rotor", usual_s=0.2
     )
     up = State(
         "spin up",
         does=f"ramp the rotor to {rpm:.0f} rpm",
-        enter=lambda orders: orders.turn(rpm, ramp, free),
+        enter=lambda commands: commands.turn(rpm, ramp, free),
         actor="rotor",
         asks=f"turn the rotor to {rpm:.0f} rpm, by about {ramp:.0f} rpm per second, and hold this speed",
         waits_for=f"{rpm:.0f} rpm, to 1 % and 2 rpm",
@@ -122,24 +122,24 @@ def _described(view: StateView) -> StateObservation:
     return StateObservation(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
 
 
-def _check_counters(orders: RigOrders) -> None:
-    orders.check_counters(0.5 * _LOCKED_LOOK_S)
+def _check_counters(commands: RigCommands) -> None:
+    commands.check_counters(0.5 * _LOCKED_LOOK_S)
 
 
 REST = State(
     "rest",
     does="bring the rotor to rest",
-    enter=RigOrders.rest,
+    enter=RigCommands.rest,
     actor="rotor",
     asks="stop the rotor",
     usual_s=0.5,
     no_pause="the rotor may turn",
 )
-LOCK = State("lock", does="lock both pendulums", enter=RigOrders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
+LOCK = State("lock", does="lock both pendulums", enter=RigCommands.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
 RELEASE_AT_REST = State(
     "release",
     does="release both pendulums with the rotor at rest",
-    enter=lambda orders: orders.release(turning=False),
+    enter=lambda commands: commands.release(turning=False),
     actor="locks",
     asks="release both pendulums",
     usual_s=0.5,
@@ -156,11 +156,11 @@ LOCKS_SEEN = State(
 )
 COUNTERS = State("counters", does="check the counters at the closed locks", enter=_check_counters)
 _ENDING = "the test is ending"
-FINISH = State("finish", does="end the log", enter=RigOrders.finish, no_pause=_ENDING)
+FINISH = State("finish", does="end the log", enter=RigCommands.finish, no_pause=_ENDING)
 STOP = State(
     "stop",
     does="bring the rotor to rest",
-    enter=RigOrders.rest,
+    enter=RigCommands.rest,
     actor="rotor",
     asks="stop the rotor",
     usual_s=2.0,
@@ -169,7 +169,7 @@ STOP = State(
 LOCK_AGAIN = State(
     "lock again",
     does="lock the pendulums",
-    enter=RigOrders.hold_again,
+    enter=RigCommands.hold_again,
     actor="locks",
     asks=ASK_TO_LOCK,
     usual_s=1.0,

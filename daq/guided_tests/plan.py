@@ -23,7 +23,7 @@ class PlannedState:
         asks: request to the operator; empty if a device or the program acts.
         rpm: rotor speed at the end of the state, rpm.
         usual_s: usual duration, rig s.
-        limit_s: longest permitted duration, s; 0 if the orders have timeouts of their own.
+        limit_s: longest permitted duration, s; 0 if the commands have timeouts of their own.
         limit_is_wall: whether `limit_s` is wall time.
         no_pause: reason why the test must not pause here; empty if it may.
         done, late: names of the states that follow these outcomes.

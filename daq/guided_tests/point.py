@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import framed, near_resonance, spin_up
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import speed_refusal
 from daq.signals.settling import Settling, SettlingLimits
@@ -60,7 +60,7 @@ def point_states(
         State(
             "before the release",
             does="begin the log",
-            enter=RigOrders.begin,
+            enter=RigCommands.begin,
             waits_for=f"{_BEFORE_RELEASE_S:g} s of the locked orbit",
             look=after(_BEFORE_RELEASE_S),
             rpm=rpm,
@@ -72,7 +72,7 @@ def point_states(
         State(
             "release",
             does="release both pendulums",
-            enter=lambda orders: orders.release(turning=True),
+            enter=lambda commands: commands.release(turning=True),
             actor="locks",
             asks="release both pendulums at the same time",
             rpm=rpm,

@@ -10,9 +10,9 @@ from pathlib import Path
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.guided_test_kinds import GuidedTestRequest
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.runner import NotReached, Runner, TestDone
 from daq.guided_tests.test_inputs import requested_test
 from rig_basics.units import TO_RPM
@@ -22,7 +22,7 @@ _ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
 
 
 class Procedures:
-    """Runs guided tests; for the other arguments see daq.guided_tests.orders.RigOrders.
+    """Runs guided tests; for the other arguments see daq.guided_tests.commands.RigCommands.
 
     Args:
         controls: passes the requests of the operator; a new object if None.
@@ -44,17 +44,8 @@ class Procedures:
     ) -> None:
         self.controls: Controls = controls or Controls()
         self._rig = session.rig
-        self._orders = RigOrders(session, operator, folder, progress, note)
-        self._runner = Runner(self._orders, self.controls)
-
-    @property
-    def parameters(self) -> str:
-        """Name of the identified parameters from which the speeds follow; see the class."""
-        return self._orders.parameters
-
-    @parameters.setter
-    def parameters(self, label: str) -> None:
-        self._orders.parameters = label
+        self.parameters: str = ""
+        self._runner = Runner(lambda wait: RigCommands(session, operator, folder, progress, note, wait), self.controls)
 
     def run(self, test: str, rig: Rig | None = None, *, point: str = "", **numbers: float) -> TestDone:
         """Run one guided test.
@@ -90,7 +81,8 @@ class Procedures:
 
     def _once(self, wanted: GuidedTestRequest, number: str) -> TestDone:
         numbers = {name: f"{value:.7g}" for name, value in wanted.numbers.items()}
-        facts = numbers | ({"point": wanted.point} if wanted.point else {}) | ({"run": number} if number else {})
+        optional = {"parameters": self.parameters, "point": wanted.point, "run": number}
+        facts = numbers | {name: text for name, text in optional.items() if text}
         return self._runner.run(wanted, wanted.kind.table(wanted), facts)
 
     def ring_down(self, axis: str) -> TestDone:

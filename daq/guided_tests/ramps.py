@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import framed, share_of, speed_advice, speeds_of, spin_up
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_warning
 
@@ -28,9 +28,9 @@ def _up(request: GuidedTestRequest) -> StateTable:
         held = view.in_state_s >= _AT_TOP_S and max(speeds_of(view)) <= (1 + _TOP_SHARE) * top
         return StateObservation(held, _words(view.rpm), min(1.0, view.in_state_s / _AT_TOP_S))
 
-    def begin(orders: RigOrders) -> None:
-        orders.make_ready()
-        orders.begin()
+    def begin(commands: RigCommands) -> None:
+        commands.make_ready()
+        commands.begin()
 
     return framed(
         request,
@@ -50,7 +50,7 @@ def _up(request: GuidedTestRequest) -> StateTable:
             does=f"ramp to {top:.0f} rpm in {duration:g} s",
             actor="rotor",
             rpm=top,
-            enter=lambda orders: orders.turn(top, top / duration),
+            enter=lambda commands: commands.turn(top, top / duration),
             asks=f"turn the rotor up to {top:.0f} rpm with a steady ramp of {top / duration:.0f} rpm per second",
             waits_for=f"{(1 - _TOP_SHARE) * top:.0f} rpm",
             look=at_top,
@@ -96,7 +96,7 @@ def _down(request: GuidedTestRequest) -> StateTable:
         State(
             "top",
             does="begin the log",
-            enter=RigOrders.begin,
+            enter=RigCommands.begin,
             waits_for="a second at the top",
             look=after(1.0),
             usual_s=1.0,
@@ -107,7 +107,7 @@ def _down(request: GuidedTestRequest) -> StateTable:
         State(
             "ramp",
             does=f"ramp to rest in {duration:g} s",
-            enter=lambda orders: orders.turn(0.0, top / duration),
+            enter=lambda commands: commands.turn(0.0, top / duration),
             actor="rotor",
             asks=f"bring the rotor to rest with a steady ramp of {top / duration:.0f} rpm per second",
             waits_for=f"{_MIN_SPEED_SHARE * top:.0f} rpm",

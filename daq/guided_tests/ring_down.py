@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from daq.acquisition.core import PAST_S
 from daq.guided_test_kinds import CHANNELS, GuidedTestRequest, Number, TestKind
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.orders import RigOrders
-from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView, no_orders
+from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView, no_commands
 
 _MAX_ANSWER_S = 5.0  # wait for valid samples of a device, wall s
 _MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, rig s
@@ -123,7 +123,7 @@ class _RingDown:
             State(
                 "quiet",
                 does="" if has_pre_trigger else "begin the log",
-                enter=no_orders if has_pre_trigger else self._begin_log,
+                enter=no_commands if has_pre_trigger else self._begin_log,
                 waits_for="half a second of valid samples",
                 look=self.quiet,
                 period_s=0.1,
@@ -142,7 +142,7 @@ class _RingDown:
             State(
                 "pluck",
                 does="request the pluck",
-                enter=lambda orders: orders.operator.pluck(self.axis),
+                enter=lambda commands: commands.operator.pluck(self.axis),
                 actor="operator",
                 asks=f"displace the column by 2 to 3 mm along {self.axis} and release it",
                 waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest",
@@ -157,7 +157,7 @@ class _RingDown:
                 "ring",
                 does="begin the log" if has_pre_trigger else "",
                 waits_for="a swing, then a fiftieth of it, or 0.04 mm",
-                enter=self._begin_log if has_pre_trigger else no_orders,
+                enter=self._begin_log if has_pre_trigger else no_commands,
                 look=self.rung_down,
                 usual_s=15.0,
                 limit_s=_MAX_RING_DOWN_S,
@@ -167,8 +167,8 @@ class _RingDown:
             ),
         )
 
-    def _begin_log(self, orders: RigOrders) -> None:
-        orders.begin(self.before_s)
+    def _begin_log(self, commands: RigCommands) -> None:
+        commands.begin(self.before_s)
 
 
 def _table(axis: str, request: GuidedTestRequest) -> StateTable:

@@ -1,4 +1,4 @@
-"""Execution of a test's table: orders, looks, outcomes, transitions, and the requests of the operator.
+"""Execution of a test's table: commands, looks, outcomes, transitions, and the requests of the operator.
 
 All waits of a guided test are in this module, on the session's clock. It starts no thread and opens no file.
 """
@@ -13,8 +13,9 @@ from typing import Any
 
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_test_kinds import GuidedTestRequest
+from daq.guided_tests.commands import RigCommands, TestDemands
 from daq.guided_tests.controls import Controls, GuidedTestStatus, Request
-from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.hands import Wait
 from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOutcome, StateTable, StateView
 
 _log = logging.getLogger(__name__)
@@ -65,16 +66,16 @@ class Runner:
     """Runs the tests of one session, one after the other.
 
     Args:
-        orders: carries out the orders of the states.
+        make: returns what carries out the commands of the states, with a wait that a request of the operator can end.
         controls: passes the requests of the operator.
     """
 
-    def __init__(self, orders: RigOrders, controls: Controls) -> None:
-        self._orders, self._controls, self._clock = orders, controls, orders.clock
+    def __init__(self, make: Callable[[Wait], RigCommands], controls: Controls) -> None:
+        self._commands, self._controls = make(self._wait), controls
+        self._clock = self._commands.clock
         self._abort: str | None = None
         self._pausing = False
         self._ending: frozenset[str] = frozenset()
-        orders.wait = self._wait
 
     def run(self, request: GuidedTestRequest, table: StateTable, facts: Mapping[str, str]) -> TestDone:
         """Run a test to its end.
@@ -88,9 +89,11 @@ class Runner:
             NotReached: the test ended before its log began.
             AcquisitionError: an interlock, a device or an encoder ended the test. The rotor was stopped.
         """
-        orders = self._orders
-        orders.prepare(request, facts)
-        orders.warn(request.kind.warning(request))
+        commands = self._commands
+        self._request, kind = request, request.kind
+        required = kind.required_at_rest(commands.session.rig.roles)
+        commands.prepare(TestDemands(request.test, required, kind.trusts_angles), facts)
+        commands.warn(request.kind.warning(request))
         self._abort, self._ending = None, frozenset(row.name for row in table.ending)
         try:
             transitions, name = table.transitions, table.rows[0].name
@@ -100,40 +103,40 @@ class Runner:
                 name = transitions[name, outcome]
                 self._conclude(state, outcome, name)
         except BaseException:
-            _attempt("the quick stop", orders.quick_stop)
-            _attempt("recording what happened so far", orders.record_past)
+            _attempt("the quick stop", commands.quick_stop)
+            _attempt("recording what happened so far", commands.record_past)
             raise
         return self._done()
 
     def _done(self) -> TestDone:
-        orders = self._orders
-        if orders.kept is None:
-            error = NotReached(orders.missed or "the table of the test does not begin a log")
-            error.aborted = orders.aborted
+        commands = self._commands
+        if commands.kept is None:
+            error = NotReached(commands.missed or "the table of the test does not begin a log")
+            error.aborted = commands.aborted
             raise error
-        facts, warnings = orders.kept.summary, tuple(orders.warnings)
-        return TestDone(orders.request.test, orders.kept.log, facts, orders.missed, warnings, orders.aborted)
+        facts, warnings = commands.kept.summary, tuple(commands.warnings)
+        return TestDone(self._request.test, commands.kept.log, facts, commands.missed, warnings, commands.aborted)
 
     # --- one state ---------------------------------------------------------------------------------------------
 
     def _outcome(self, state: State) -> StateOutcome:
         """Enter a state and look until it is over."""
-        orders = self._orders
+        commands = self._commands
         self._show(state, StateObservation(False, state.does or f"waiting for {state.waits_for}"))
         self._entered = state
         try:
             self._take_requests(state)
             entry_began_ns = self._clock.now_ns()
-            state.enter(orders)
+            state.enter(commands)
             limit_s = self._clock.patience(state.limit_s) if state.wall else state.limit_s
             entered_ns = self._clock.now_ns()
             end_ns = entered_ns + int(limit_s * 1e9)
             while True:
-                orders.check()
+                commands.check()
                 end_ns += self._take_requests(state)
                 look = state.look(self._view(entry_began_ns, entered_ns))
-                orders.memory |= look.store
-                orders.facts |= look.facts
+                commands.memory.update(look.store)
+                commands.facts.update(look.facts)
                 self._show(state, look)
                 if look.done:
                     return StateOutcome.DONE
@@ -144,29 +147,27 @@ class Runner:
             return StateOutcome.ABORT
 
     def _view(self, entry_began_ns: int, entered_ns: int) -> StateView:
-        orders = self._orders
-        rotor, now_ns = orders.rotor, self._clock.now_ns()
+        commands = self._commands
+        rotor, now_ns = commands.rotor, self._clock.now_ns()
         return StateView(
-            orders.measures, now_ns, entered_ns, entry_began_ns, rotor.speed_rpm, orders.memory, rotor.reported_rpm
+            commands.measures, now_ns, entered_ns, entry_began_ns, rotor.speed_rpm, commands.memory, rotor.reported_rpm
         )
 
     def _late(self, state: State, view: StateView) -> StateOutcome:
-        missed = state.missed(view)
-        self._orders.missed = self._orders.missed or missed
-        self._orders.warn(state.late_warning)
+        self._commands.miss(state.missed(view))
+        self._commands.warn(state.late_warning)
         return StateOutcome.LATE
 
     def _conclude(self, state: State, outcome: StateOutcome, target: str) -> None:
         """Record an outcome, and raise the error of a transition to FAULT."""
-        orders = self._orders
+        commands = self._commands
         if outcome is StateOutcome.ABORT:
-            if not orders.aborted and orders.kept is None:
-                orders.aborted, orders.missed = True, f"aborted by the operator in {state.name!r}: {self._abort}"
+            commands.abort(f"aborted by the operator in {state.name!r}: {self._abort}")
             self._abort = None
         elif state.fact:
-            orders.facts[state.fact] = outcome is StateOutcome.DONE
+            commands.facts[state.fact] = outcome is StateOutcome.DONE
         if target == FAULT:
-            raise DeviceError(orders.missed)
+            raise DeviceError(commands.missed)
 
     # --- requests of the operator ------------------------------------------------------------------------------
 
@@ -178,7 +179,7 @@ class Runner:
                 self._take(self._entered, request)
             return self._abort is not None or condition()
 
-        self._orders.session.wait_for(over, wall_s, what)
+        self._commands.session.wait_for(over, wall_s, what)
         if self._abort is not None:
             raise _Aborted
 
@@ -193,13 +194,13 @@ class Runner:
             if not self._pausing or state.no_pause:
                 break
             self._show(state, StateObservation(False, f"paused before: {state.does or state.waits_for}"), paused=True)
-            self._orders.check()
+            self._commands.check()
             self._clock.sleep(_PAUSE_LOOK_S)
         return self._clock.now_ns() - begun
 
     def _take(self, state: State, request: Request) -> None:
         if request.verb == "note":
-            self._orders.note(request.text)
+            self._commands.note(request.text)
             self._answer(f"noted: {request.text}")
         elif request.verb == "abort" and state.name in self._ending and state.actor != "locks":
             self._answer("the test is ending already")
@@ -219,11 +220,11 @@ class Runner:
 
     def _show(self, state: State, look: StateObservation, *, paused: bool = False) -> None:
         words = look.words or (f"waiting for {state.waits_for}" if state.waits_for else state.does)
-        answer, request = self._controls.status.answer, self._orders.request
+        answer, request = self._controls.status.answer, self._request
         self._controls.status = GuidedTestStatus(
             request.test, state.name, words, look.share, paused, answer, request.numbers
         )
-        self._orders.report(words, look.share)
+        self._commands.report(words, look.share)
 
 
 def _attempt(activity: str, step: Callable[[], object]) -> None:

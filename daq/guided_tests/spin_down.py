@@ -10,7 +10,7 @@ from daq.guided_test_kinds import GuidedTestRequest, TestKind
 from daq.guided_tests.frame import RELEASE_AT_REST, framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.ring_down import PRE_TRIGGER
-from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after, no_orders
+from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after, no_commands
 
 _MAX_FLICK_AGE_S = 10.0  # stretch of the angles in which a flick is searched, rig s
 _BEFORE_S = 0.7  # at rest before the flick, rig s
@@ -48,7 +48,7 @@ def _table(request: GuidedTestRequest) -> StateTable:
         State(
             "quiet",
             does="" if later else "begin the log",
-            enter=no_orders if later else lambda orders: orders.begin(before_s),
+            enter=no_commands if later else lambda commands: commands.begin(before_s),
             waits_for=f"{_BEFORE_S:g} s at rest",
             look=after(_BEFORE_S, "the pendulums at rest"),
             period_s=0.1,
@@ -58,7 +58,7 @@ def _table(request: GuidedTestRequest) -> StateTable:
         State(
             "flick",
             does="request the flick",
-            enter=lambda orders: orders.operator.flick(),
+            enter=lambda commands: commands.operator.flick(),
             actor="operator",
             asks="flick both pendulums, slower than two turns a second",
             waits_for="half a radian of both",
@@ -72,7 +72,7 @@ def _table(request: GuidedTestRequest) -> StateTable:
         State(
             "swing",
             does="begin the log" if later else "",
-            enter=(lambda orders: orders.begin(before_s)) if later else no_orders,
+            enter=(lambda commands: commands.begin(before_s)) if later else no_commands,
             waits_for="both slower by e⁵",
             look=_slowed,
             usual_s=25.0,

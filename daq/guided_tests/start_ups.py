@@ -10,15 +10,17 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import RELEASE_AT_REST, framed, spin_up
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
 from daq.guided_tests.table import MOTION, State, StateTable, StateView, after, not_missed
 from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
+from rig_configs.schema import Rig
 
 _MIN_SLIPPING_S = 30.0  # slipping for this time after the release counts as permanent, rig s
 _CLASSES = {"I": "balanced"}
@@ -34,20 +36,20 @@ def _slips_at_speed(view: StateView, last: Settling) -> bool:
     return last.slipping and view.in_state_s > _MIN_SLIPPING_S
 
 
-def _classify(orders: RigOrders) -> None:
+def _classify(rig: Rig, commands: RigCommands) -> None:
     """Write the class of the start-up to the facts: "balanced", "slipping" or "other", and the settled values."""
-    last: Settling | None = orders.memory.get("last")
+    last: Settling | None = commands.memory.get("last")
     state, facts = "not settled", dict[str, Any]()
     if last is not None and last.settled:
-        a, b = orders.measures.mean_angles_rad()
-        x, y = orders.measures.amplitudes_m()
-        state = state_type((a, b), orders.request.rig.physics)
+        a, b = commands.measures.mean_angles_rad()
+        x, y = commands.measures.amplitudes_m()
+        state = state_type((a, b), rig.physics)
         facts = {"theta3_deg": math.degrees(a) % 360, "theta4_deg": math.degrees(b) % 360}
         facts |= {"amplitude_x_mm": 1e3 * x, "amplitude_y_mm": 1e3 * y}
     elif last is not None and last.slipping:
         state = "slipping"
     kind = state if state == "slipping" else _CLASSES.get(state, "other")
-    orders.facts |= {"class": kind, "state": state, **facts}
+    commands.facts.update({"class": kind, "state": state, **facts})
 
 
 def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
@@ -56,7 +58,7 @@ def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
         State(
             "begin",
             does="begin the log",
-            enter=RigOrders.begin,
+            enter=RigCommands.begin,
             waits_for=f"{_BEFORE_S:g} s at the locks",
             look=after(_BEFORE_S, "the pendulums at their locks"),
             period_s=0.1,
@@ -67,7 +69,7 @@ def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
         State(
             "scatter",
             does="request arbitrary angles of both pendulums",
-            enter=lambda orders: orders.operator.scatter(),
+            enter=lambda commands: commands.operator.scatter(),
             actor="operator",
             asks="bring both pendulums or balls to arbitrary angles, different each time",
             waits_for=f"{_SCATTERED_S:g} s",
@@ -84,7 +86,8 @@ def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
 def _table(request: GuidedTestRequest) -> StateTable:
     rpm = request.numbers["speed_rpm"]
     states = _from_rest(request, rpm) if request.numbers["from_rest"] else point_states(request, rpm, _slips)
-    classed = State("class", does="classify the steady state: balanced, slipping or other", enter=_classify)
+    classify = partial(_classify, request.rig)
+    classed = State("class", does="classify the steady state: balanced, slipping or other", enter=classify)
     *before, settle = states
     settle = replace(settle, missed=not_missed, late=classed.name)
     return framed(request, *before, settle, classed, releases=True)

@@ -1,8 +1,8 @@
-"""A guided test as a table of states: orders, condition, time limit and transitions of each state.
+"""A guided test as a table of states: commands, condition, time limit and transitions of each state.
 
 The runner, `rig test … --plan` and the model check use the same rows.
 
-    entry      the orders of the state are carried out (rotor, locks, log, operator)
+    entry      the commands of the state are carried out (rotor, locks, log, operator)
     look       a function without side effects of the signals and of the memory, called every `period_s`
     DONE       the condition is met: the row `done` follows, or the next row
     LATE       `limit_s` has passed: the row `late` follows, or the ending; "fault" is an error of the rig
@@ -21,8 +21,8 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
+    from daq.guided_tests.commands import RigCommands
     from daq.guided_tests.measures import Measures
-    from daq.guided_tests.orders import RigOrders
 
 END, FAULT = "end", "fault"
 """Targets of transitions that end a test: normally, or with an error of the rig."""
@@ -47,8 +47,8 @@ class StateView:
     Attributes:
         measures: measured values of the signals.
         now_ns: host time, ns since 1970.
-        entered_ns: host time at which the orders of the state had been carried out, ns since 1970.
-        entry_began_ns: host time before the orders, ns since 1970. Actions of the operator count from here.
+        entered_ns: host time at which the commands of the state had been carried out, ns since 1970.
+        entry_began_ns: host time before the commands, ns since 1970. Actions of the operator count from here.
         rpm: measured rotor speed, rpm; NaN if it is not measured.
         memory: values that entries and earlier looks have stored.
         reported_rpm: speed that the drive reports, rpm; NaN without a drive or a report.
@@ -90,7 +90,7 @@ class StateObservation:
 
 
 def at_once(view: StateView) -> StateObservation:
-    """Return a look that is done, for states that are over when their orders have been carried out."""
+    """Return a look that is done, for states that are over when their commands have been carried out."""
     return StateObservation(True)
 
 
@@ -99,7 +99,7 @@ def after(seconds: float, words: str = "") -> Callable[[StateView], StateObserva
     return lambda view: StateObservation(view.in_state_s >= seconds, words, min(1.0, view.in_state_s / seconds))
 
 
-def no_orders(orders: RigOrders) -> None:
+def no_commands(commands: RigCommands) -> None:
     """Do nothing on entry, for states that only wait."""
 
 
@@ -114,9 +114,9 @@ class State:
 
     Attributes:
         name: name of the state, unique in the table.
-        does: description of the orders on entry; empty without orders.
-        enter: carries out the orders on entry.
-        waits_for: description of the condition; empty for states that are over with their orders.
+        does: description of the commands on entry; empty without commands.
+        enter: carries out the commands on entry.
+        waits_for: description of the condition; empty for states that are over with their commands.
         look: evaluates the condition.
         period_s: period of the looks, rig s.
         limit_s: time limit, in rig s, or in wall s if the state waits for a person or a mechanism.
@@ -135,7 +135,7 @@ class State:
 
     name: str
     does: str = ""
-    enter: Callable[[RigOrders], None] = no_orders
+    enter: Callable[[RigCommands], None] = no_commands
     waits_for: str = ""
     look: Callable[[StateView], StateObservation] = at_once
     period_s: float = 0.5

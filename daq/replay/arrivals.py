@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import HEALTH_TOPIC, TX, raw_topic
-from daq.drivers.contract import Pipeline
+from daq.drivers.calibrated import CalibratedPipeline
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.mcap.missing import Missing
@@ -83,7 +83,7 @@ class Arrivals:
     def __init__(
         self,
         log: Log,
-        pipelines: Mapping[str, Pipeline],
+        pipelines: Mapping[str, CalibratedPipeline],
         device_of: Mapping[str, str],
         disorder_s: float,
     ) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, Channel
-from daq.drivers.contract import Pipeline
+from daq.drivers.calibrated import CalibratedPipeline
 from daq.drivers.devices import channels_of
 from daq.errors import LogError
 from daq.items import Batch, joined
@@ -105,7 +105,9 @@ def decode_again(
 class _Copy:
     """Copies one log into another, everything in order of time."""
 
-    def __init__(self, log: Log, new: LogFile, pipelines: Mapping[str, Pipeline], known: Mapping[str, Channel]) -> None:
+    def __init__(
+        self, log: Log, new: LogFile, pipelines: Mapping[str, CalibratedPipeline], known: Mapping[str, Channel]
+    ) -> None:
         self._log, self._new, self._pipelines = log, new, pipelines
         self._comparisons = {topic: ChannelComparison(log, channel, None, cut=True) for topic, channel in known.items()}
         self._waiting: dict[str, list[tuple[Batch, int]]] = {}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Protocol
 
-from daq.drivers.contract import Pipeline
+from daq.drivers.calibrated import CalibratedPipeline
 from daq.log import Log
 from daq.replay.stream import Decoded, decoded, pipelines_of
 from daq.transports.host_clock import HostClock
@@ -72,7 +72,7 @@ class Paced(Iterator[Decoded]):
     """
 
     def __init__(self, log: Log, speed: float, clock: Clock) -> None:
-        self.pipelines: dict[str, Pipeline] = pipelines_of(log)
+        self.pipelines: dict[str, CalibratedPipeline] = pipelines_of(log)
         self.pace: Pace = Pace(speed, clock)
         self._clock = clock
         self._items = decoded(log, self.pipelines)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
-from daq.drivers.contract import Pipeline
+from daq.drivers.calibrated import CalibratedPipeline, Calibration
 from daq.drivers.devices import installed_of, make_pipelines
 from daq.errors import DeviceError, LogError
 from daq.items import Batch, DeviceEvent
@@ -20,7 +20,7 @@ Decoded = tuple[str, RawChunk, list[Batch | DeviceEvent]]
 _DECODER = re.compile("[1-9][0-9]{0,8}")
 
 
-def pipelines_of(log: Log) -> dict[str, Pipeline]:
+def pipelines_of(log: Log) -> dict[str, CalibratedPipeline]:
     """Return new pipelines in the state at the start of the log.
 
     Raises:
@@ -43,7 +43,7 @@ def decoder_of(log: Log) -> int | None:
 
 def pipelines_with(
     rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str, log: Log | None = None
-) -> dict[str, Pipeline]:
+) -> dict[str, CalibratedPipeline]:
     """Return new pipelines for devices with these identities.
 
     Args:
@@ -59,14 +59,13 @@ def pipelines_with(
         LogError: an identity is not valid for its device.
     """
     try:
-        if log is None:
-            return make_pipelines(installed_of(rig.devices), identities)
-        return make_pipelines(installed_of(rig.devices), identities, seeds_of(log))
+        made = make_pipelines(installed_of(rig.devices), identities, None if log is None else seeds_of(log))
     except DeviceError as fault:
         raise LogError(f"{source}: identities.json: {fault}: its bytes cannot be decoded") from fault
+    return {name: CalibratedPipeline(pipeline, Calibration.of(rig.devices[name])) for name, pipeline in made.items()}
 
 
-def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:
+def decoded(log: Log, pipelines: Mapping[str, CalibratedPipeline]) -> Iterator[Decoded]:
     """Yield every raw read and write in file order, with the items that the device's pipeline decodes.
 
     Bytes of devices without a pipeline have no items.

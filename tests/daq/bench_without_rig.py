@@ -1,4 +1,4 @@
-"""Test doubles for guided tests without rig, thread and wall clock: session, rotor and locks that record orders."""
+"""Test doubles for guided tests without rig, thread and wall clock: session, rotor and locks that record commands."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 from daq.channels import LOCKS_CLOSED
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_test_kinds import GuidedTestRequest
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.hands import Wait
 from daq.guided_tests.runner import Runner, TestDone
 from daq.guided_tests.table import State, StateObservation, StateTable, StateView
 from daq.items import DeviceEvent
@@ -43,20 +44,20 @@ class NoRates:
 
 @dataclass
 class Bench:
-    """Session, rotor, locks and operator in one: what they were ordered, and what must never be.
+    """Session, rotor, locks and operator in one: what they were commanded, and what must never be.
 
     Attributes:
-        orders: in words, as they came.
+        commands: in words, as they came.
         wrong: what no test may do.
-        fails_at: number of the order that ends in an error.
+        fails_at: number of the command that ends in an error.
         fault: what `check` raises from now on.
-        while_ordered: called with the number of each order while it is carried out.
+        while_commanded: called with the number of each command while it is carried out.
     """
 
     rig: Rig
     fails_at: int | None = None
     clock: Clock = field(default_factory=Clock)
-    orders: list[str] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
     turning: bool = False
     locked: bool = False
@@ -66,14 +67,14 @@ class Bench:
     rates = NoRates()
     ramp_rpm_per_s = 100.0
     reported_rpm = float("nan")
-    while_ordered: Callable[[int], None] = lambda number: None
+    while_commanded: Callable[[int], None] = lambda number: None
     notes: list[DeviceEvent] = field(default_factory=list)
     logs: list[dict[str, Any]] = field(default_factory=list)
 
-    def _order(self, text: str) -> None:
-        self.orders.append(text)
-        self.while_ordered(len(self.orders))
-        if self.fails_at == len(self.orders):
+    def _carry_out(self, text: str) -> None:
+        self.commands.append(text)
+        self.while_commanded(len(self.commands))
+        if self.fails_at == len(self.commands):
             raise DeviceError(f"{text} failed")
 
     # --- session
@@ -89,6 +90,9 @@ class Bench:
                 raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
             self.clock.sleep(1.0)
 
+    def fail(self, error: Exception) -> None:
+        self.trouble = self.trouble or error
+
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[Any, list[Any]]:
         values = {"theta3_rad": 0.0, "theta4_rad": np.pi, "flags": LOCKS_CLOSED if self.locked else 0}
         return np.zeros(1, np.int64), [np.array([values.get(name, 0)]) for name in fields]
@@ -103,14 +107,14 @@ class Bench:
         self.notes.append(event)
 
     def start_recording(self, path: Path, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
-        self._order("begin the log")
+        self._carry_out("begin the log")
         self.recording = True
         self.logs.append({"path": path, **metadata})
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         self.recording = False
         self.logs[-1] |= {"summary": dict(summary)}
-        self._order("end the log")
+        self._carry_out("end the log")
         return self.logs[-1]["path"]
 
     # --- rotor
@@ -119,52 +123,53 @@ class Bench:
         return 300.0 if self.turning else 0.0
 
     def begin(self) -> str:
-        self._order("make ready")
+        self._carry_out("make ready")
         return ""
 
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        if rpm and not self.locked and not self.turning and "scatter" not in self.orders:
+        if rpm and not self.locked and not self.turning and "scatter" not in self.commands:
             self.wrong.append("spun up with pendulums that are not locked")
         self.turning = self.turning or rpm > 0
-        self._order(f"turn at {rpm:.0f} rpm")
+        self._carry_out(f"turn at {rpm:.0f} rpm")
 
     def stop(self) -> None:
-        self._order("rest")
+        self._carry_out("rest")
         self.turning = False
 
     def quick_stop(self) -> None:
-        self.orders.append("quick stop")
+        self.commands.append("quick stop")
         self.turning = False
 
     # --- locks
     def lock(self) -> None:
         if self.turning:
             self.wrong.append("locked while the rotor turned")
-        self._order("lock")
+        self._carry_out("lock")
         self.locked = True
 
     def release(self, turning: bool) -> int:
         if turning != self.turning:
             self.wrong.append("released at rest" if turning else "released while the rotor turned")
-        self._order("release")
+        self._carry_out("release")
         self.locked = False
         return self.clock.ns
 
     # --- operator
     def pluck(self, axis: str) -> None:
-        self._order(f"pluck {axis}")
+        self._carry_out(f"pluck {axis}")
 
     def flick(self) -> None:
-        self._order("flick")
+        self._carry_out("flick")
 
     def scatter(self) -> None:
-        self._order("scatter")
+        self._carry_out("scatter")
 
 
 def runner_of(bench: Bench, controls: Controls, folder: Path) -> Runner:
-    orders = RigOrders(bench, bench, folder, lambda text, share: None)
-    orders.rotor, orders.locks = bench, bench
-    return Runner(orders, controls)
+    def made(wait: Wait) -> RigCommands:
+        return RigCommands(bench, bench, folder, lambda text, share: None, "", wait, bench, bench)
+
+    return Runner(made, controls)
 
 
 def scripted(table: StateTable, look: Callable[[State, StateView], StateObservation], looks: int = 4) -> StateTable:

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from daq.acquisition.session import Session
-from daq.drivers.calibrated import calibrated, calibrations_of
+from daq.drivers.calibrated import Calibration, calibrations_of
 from daq.drivers.devices import make_pipelines
+from daq.items import RX
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from rig_configs import load_rig
 from rig_configs.device import DisplacementSettings
+from tests.daq.small_log import device_bytes
 
 X = "devices.laser_x"
 CORRECTION = [f"{X}.gain_factor=1.25", f"{X}.offset_m=0.0005", f'{X}.calibrated="2026-11-26T18:00:00Z"']
@@ -62,7 +64,9 @@ def test_a_calibrated_virtual_sensor_measures_the_truth(rig: str, sensor: str, t
 
 def test_a_device_without_a_calibration_is_not_changed() -> None:
     settings = load_rig("virtual").devices["laser_x"]
-    pipeline = make_pipelines(load_rig("virtual").devices, {})["laser_x"]
-    assert calibrated(pipeline, settings) is pipeline
-    assert "feed" not in vars(pipeline)
+    data = device_bytes(1)[0][1]
+    plain, again = (make_pipelines(load_rig("virtual").devices, {})["laser_x"] for _ in range(2))
+    expected = plain.feed(RX, data, 10**18)
+    assert len(expected) > 0
+    assert repr(Calibration.of(settings).decode(again, RX, data, 10**18)) == repr(expected)
     assert calibrations_of(load_rig("virtual").devices) == {}

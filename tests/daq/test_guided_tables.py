@@ -1,4 +1,4 @@
-"""Tables of all guided tests: every path ends with the rotor at rest and the log finished, without a wrong order."""
+"""Tables of all guided tests: every path ends with the rotor at rest and the log finished, without a wrong command."""
 
 from __future__ import annotations
 
@@ -87,17 +87,17 @@ def test_a_point_in_a_resonance_is_not_paused_there() -> None:
     fails_at=st.none() | st.integers(1, 14),
     aborted_at=st.none() | st.integers(1, 14),
 )
-def test_a_test_always_ends_at_rest_with_its_log_ended_and_no_wrong_order(
+def test_a_test_always_ends_at_rest_with_its_log_ended_and_no_wrong_command(
     name: str, script: list[str], fails_at: int | None, aborted_at: int | None
 ) -> None:
     controls, bench = Controls(), Bench(RIG, fails_at)
-    bench.while_ordered = lambda number: controls.abort("again") if number == aborted_at else None
+    bench.while_commanded = lambda number: controls.abort("again") if number == aborted_at else None
     table = scripted(table_of(name), plays(script, controls, bench))
     with tempfile.TemporaryDirectory() as folder:
         done = finished(bench, ASKED[name], table, controls, Path(folder))
     assert bench.wrong == []
     assert not bench.turning
-    broken = bench.fault is not None or (fails_at is not None and fails_at <= len(bench.orders))
+    broken = bench.fault is not None or (fails_at is not None and fails_at <= len(bench.commands))
     if isinstance(done, TestDone):
         summary = bench.logs[-1]["summary"]
         assert summary["reached"] is (done.missed == "")
@@ -106,19 +106,19 @@ def test_a_test_always_ends_at_rest_with_its_log_ended_and_no_wrong_order(
         assert isinstance(done, NotReached) or str(done) == "what was waited for"
     if not broken and not isinstance(done, DeviceError):  # an error leaves the log to the session
         assert not bench.recording
-        assert bench.orders.count("begin the log") == bench.orders.count("end the log") <= 1
-        assert bench.locked or "release" not in bench.orders or aborted_at is not None  # the operator gave it up
+        assert bench.commands.count("begin the log") == bench.commands.count("end the log") <= 1
+        assert bench.locked or "release" not in bench.commands or aborted_at is not None  # the operator gave it up
 
 
-@pytest.mark.parametrize("during", ["orders", "looks"])
+@pytest.mark.parametrize("during", ["commands", "looks"])
 @pytest.mark.parametrize("name", list(ASKED))
 def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
     name: str, during: str, tmp_path: Path
 ) -> None:
     for number in range(1, 20):
         controls, bench = Controls(), Bench(RIG)
-        if during == "orders":
-            bench.while_ordered = lambda now, at=number, c=controls: c.abort("smoke") if now >= at else None
+        if during == "commands":
+            bench.while_commanded = lambda now, at=number, c=controls: c.abort("smoke") if now >= at else None
         look = plays(["done"] * (number - 1) + [f"{'abort and ' * (during == 'looks')}done"] * 20, controls, bench)
         finished(bench, ASKED[name], scripted(table_of(name), look), controls, tmp_path)
         assert not bench.turning
@@ -148,7 +148,7 @@ def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_bef
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert isinstance(done, TestDone)
     assert done.summary["ended"] == "not reached: aborted by the operator in 'settle': smoke"
-    assert bench.orders[-4:] == ["release", "end the log", "rest", "lock"]
+    assert bench.commands[-4:] == ["release", "end the log", "rest", "lock"]
 
 
 def test_a_test_that_ends_before_its_log_reports_it_and_keeps_no_log(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_locks_that_do_not_close_after_an_abort_are_a_warning_and_otherwise_an_e
             state: State, view: StateView, bench: Bench = bench, controls: Controls = controls
         ) -> StateObservation:
             if state.name == "swing":
-                bench.fails_at = len(bench.orders) + 3  # the log's end, rest, lock
+                bench.fails_at = len(bench.commands) + 3  # the log's end, rest, lock
             if state.name == "swing" and aborted:  # noqa: B023 (used within this turn)
                 controls.abort("smoke")
             return StateObservation(not (state.name == "swing" and aborted))  # noqa: B023
@@ -232,7 +232,7 @@ def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
 
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert str(done) == "laser/x: silent"
-    assert bench.orders[-1] == "quick stop"
+    assert bench.commands[-1] == "quick stop"
 
 
 def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(tmp_path: Path) -> None:
@@ -284,14 +284,17 @@ def test_a_table_with_a_transition_to_nowhere_is_refused() -> None:
         StateTable((State("a"), State("a")), (FINISH,))
 
 
-def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
+def test_commands_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
     kind = ASKED["point"].kind
     for name, wrong in (("turn", "not locked"), ("release", "not released")):
-        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "release": lambda orders: orders.release(True)}[name]
-        opened = State("open", enter=lambda orders: orders.locks.release(False))
-        unlocked = State("unlocked", enter=lambda orders: setattr(orders, "_held", False))
+        command = {
+            "turn": lambda commands: commands.turn(100.0, 10.0),
+            "release": lambda commands: commands.release(True),
+        }[name]
+        opened = State("open", enter=lambda commands: commands.locks.release(False))
+        unlocked = State("unlocked", enter=lambda commands: setattr(commands, "_held", False))
         bench, asked_ = Bench(RIG), GuidedTestRequest(RIG, kind, "point-B", "B", ASKED["point"].numbers)
-        table = framed(asked_, opened, unlocked, State(name, enter=order))
+        table = framed(asked_, opened, unlocked, State(name, enter=command))
         assert wrong in str(finished(bench, asked_, table, Controls(), tmp_path))
         assert bench.wrong == []
 
@@ -304,11 +307,11 @@ def test_a_log_with_a_pre_trigger_begins_when_the_motion_was_seen(before_s: floa
         table = scripted(wanted.kind.table(wanted), lambda state, view: StateObservation(True))
         done = finished(bench, wanted, table, controls, tmp_path)
         assert isinstance(done, TestDone)
-        after = bench.orders.index("begin the log") > bench.orders.index(motion)
+        after = bench.commands.index("begin the log") > bench.commands.index(motion)
         assert after is (before_s > 0)
 
 
-def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> None:
+def test_the_operators_commands_are_the_same_where_no_device_turns_the_rotor() -> None:
     for name in KINDS:
         numbers = {"speed_rpm": 288.0} if name == "start-ups" else {}
         by_hand = requested_test(HAND, "point-B" if name == "point" else name, numbers)
@@ -324,12 +327,16 @@ def test_a_start_up_from_rest_releases_before_the_rotor_turns(tmp_path: Path) ->
     table = scripted(table_of(FROM_REST), lambda state, view: StateObservation(True))
     finished(bench, ASKED[FROM_REST], table, controls, tmp_path)
     assert bench.wrong == []
-    order = [text for text in bench.orders if text in ("begin the log", "release", "scatter", "turn at 288 rpm")]
-    assert order == ["begin the log", "release", "scatter", "turn at 288 rpm"]
+    expected = ["begin the log", "release", "scatter", "turn at 288 rpm"]
+    assert [text for text in bench.commands if text in expected] == expected
 
 
 @pytest.mark.parametrize(("state", "runs"), [("settle", 2), ("spin up", 1)])
-def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: int, tmp_path: Path) -> None:
+def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(
+    state: str, runs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DrivenRotor", "CommandedLocks"):
+        monkeypatch.setattr(f"daq.guided_tests.commands.{name}", lambda bench, *_: bench)
     bench, wanted, seen = Bench(RIG), ASKED["start-ups"], list[str]()
 
     def look(row: State, view: StateView) -> StateObservation:
@@ -340,7 +347,6 @@ def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: i
         return StateObservation(True)
 
     tests = Procedures(bench, bench, tmp_path, lambda text, share: None)
-    tests._orders.rotor, tests._orders.locks = bench, bench
     kind = replace(wanted.kind, table=lambda asked: scripted(wanted.kind.table(asked), look))
     done = tests.carry_out(replace(wanted, kind=kind))
     assert (len(done.runs), done.aborted) == (runs, True)

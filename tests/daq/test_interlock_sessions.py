@@ -52,7 +52,7 @@ def falls_silent(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch)
 
 
 def is_lost(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch) -> None:
-    session._open._readers["laser_y"].link.close()
+    session.devices._readers["laser_y"].link.close()
     session.wait_for(lambda: bool(session.notices), 8.0, "the loss")
 
 

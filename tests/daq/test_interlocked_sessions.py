@@ -208,7 +208,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         held, released = threading.Event(), threading.Event()
 
         def hold() -> None:
-            with recorder.together(), session._open.unread("drive"):
+            with recorder.together(), session.devices.unread("drive"):
                 held.set()
                 released.wait(20)
 

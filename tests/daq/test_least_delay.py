@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from daq.drivers.calibrated import CalibratedPipeline, Calibration
 from daq.drivers.devices import make_pipelines
 from daq.items import RX, TX, Batch
 from daq.signals.run_clocks import clock_line
@@ -20,7 +21,8 @@ def test_the_times_of_a_device_are_earlier_by_its_least_delay() -> None:
     times: list[np.ndarray] = []
     for delay in (0.0, DELAY_S):
         rig = load_rig("virtual", settings=[f"devices.laser_x.least_delay_s={delay}"])
-        pipeline = make_pipelines(rig.devices, {})["laser_x"]
+        calibration = Calibration.of(rig.devices["laser_x"])
+        pipeline = CalibratedPipeline(make_pipelines(rig.devices, {})["laser_x"], calibration)
         pipeline.feed(TX, b"OUTPUT RS422\n", START_NS - 1)
         found = pipeline.feed(RX, blocks(np.full(50, 32_760)), START_NS)
         times.append(np.concatenate([item.time_ns for item in found if isinstance(item, Batch)]))

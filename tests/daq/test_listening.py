@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from daq.acquisition.life import LISTENING, Policy
 from daq.acquisition.session import Session
 from daq.drivers.devices import make_pipelines
 from daq.errors import LinkLost
@@ -43,7 +44,7 @@ def _arrived(session, wires):
 def test_every_byte_from_the_first_to_the_last(tmp_path, kind):
     with cables(kind) as (wires, rig):
         sent = dict.fromkeys(wires, b"")
-        session = Session(rig, HostClock())
+        session = Session(rig, HostClock(), policy=LISTENING)
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             for device, data in device_bytes(20):
                 wires[device].descriptor()  # a TCP wire accepts its host here
@@ -70,7 +71,7 @@ def test_the_last_bytes_before_a_cable_is_pulled_are_kept(tmp_path):
     """They may lie in the reader's hand, waiting for the next arrival, when the link is lost."""
     with cables("tcp") as (wires, rig):
         reads = [data for device, data in device_bytes(6) if device == "laser_x"]
-        session = Session(rig, HostClock())
+        session = Session(rig, HostClock(), policy=LISTENING)
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             wires["laser_x"].descriptor()
             wires["laser_x"].send(reads[0])
@@ -90,7 +91,7 @@ def test_a_laser_whose_words_are_stored_is_decoded_by_them(tmp_path):
         pipeline = make_pipelines(rig.devices, identities)["laser_x"]
         data = device_bytes(1)[0][1]
         expected = pipeline.feed(0, data, 10**18)[0].columns["displacement_m"]
-        session = Session(rig, HostClock(), identities)
+        session = Session(rig, HostClock(), identities, policy=LISTENING)
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             wires["laser_x"].descriptor()
             wires["laser_x"].send(data)
@@ -103,7 +104,7 @@ def test_a_laser_whose_words_are_stored_is_decoded_by_them(tmp_path):
 def test_devices_from_which_no_byte_was_received_are_named(tmp_path):
     """A device that answers only on request sends nothing to a session that only receives."""
     with cables("tcp") as (wires, rig):
-        session = Session(rig, HostClock())
+        session = Session(rig, HostClock(), policy=LISTENING)
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             for wire in wires.values():
                 wire.descriptor()
@@ -111,3 +112,11 @@ def test_devices_from_which_no_byte_was_received_are_named(tmp_path):
             session.wait_for(lambda: _arrived(session, wires) == 1, 10, "the byte")
             assert session.unheard == ["laser_x", "laser_y", "drive"]
             session.stop_recording({})
+
+
+def test_a_lenient_session_that_only_receives_reports_a_port_that_cannot_be_opened(tmp_path):
+    with cables("tcp") as (wires, rig):
+        wires["drive"].close()
+        session = Session(rig, HostClock(), policy=Policy(commands=False, lenient=True))
+        with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
+            assert set(session.unopened) == {"drive"}

@@ -319,7 +319,7 @@ def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch
         sim.clock.wait(0.5)
         sim.ask("plug", device="laser_x")
         with monkeypatch.context() as turned:
-            turned.setattr(type(session._command), "turning", lambda self: True)
+            turned.setattr(type(session.rotor), "turning", lambda self: True)
             wait_checking(session, 6.0)
             assert list(session._core.gone) == ["laser_x"]
         wait_checking(session, 4.0)
@@ -376,8 +376,8 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         session.drive.enable()
         sim.ask("fail", device=drive, what="mute", value=1)
-        stop_streams = session._open.stop_streams
-        session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())
+        stop_streams = session.devices.stop_streams
+        session.devices.stop_streams = lambda: (stopped.append("streams"), stop_streams())
     assert stopped == ["streams"]
     assert session.rotor_warning == (
         f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import pytest
 
 from daq.acquisition.device_check import device_checks
+from daq.acquisition.life import Policy
 from daq.acquisition.observation import observe
 from daq.acquisition.session import Session
 from daq.acquisition.tap import tap_test
@@ -49,8 +50,7 @@ def checked(
         x, y = (json.dumps(far.cables[laser].port) for laser in ("laser_y", "laser_x"))
         ports += [f"devices.laser_x.port={x}", f"devices.laser_y.port={y}"]
     rig = load_rig(name, settings=[*true, *ports, *stated])
-    session = Session(rig, far.clock, edge=far.edge)
-    session.lenient = True
+    session = Session(rig, far.clock, edge=far.edge, policy=Policy(lenient=True))
     prepare(far)
     with session:
         found = device_checks(rig, observe(session, seconds))
@@ -186,8 +186,9 @@ def test_a_drive_that_is_set_up_and_sends_no_reports_is_stopped_at_the_end() -> 
     """It was commanded, so the end of the check removes its torque and its watch, and ends the heartbeat."""
     rig = load_rig("virtual")
     far = LockstepRig(rig)
-    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
-    session.lenient = True
+    session = Session(
+        load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge, policy=Policy(lenient=True)
+    )
     _fault(far, "drive", "silent reports")
     with session:
         observe(session, 1.0)
@@ -198,8 +199,9 @@ def test_a_drive_that_is_set_up_and_sends_no_reports_is_stopped_at_the_end() -> 
 
 def test_a_device_without_a_port_does_not_stop_the_commands_of_the_others() -> None:
     far = LockstepRig(load_rig("virtual"))
-    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
-    session.lenient = True
+    session = Session(
+        load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge, policy=Policy(lenient=True)
+    )
     far.cables["laser_x"].cut()
     with session:
         session.clock.wait(5.0)  # longer than a silent line
@@ -215,8 +217,7 @@ def test_a_drive_that_refuses_its_set_up_is_judged_where_nothing_else_measures_t
     rig = alone.model_copy(
         update={"devices": {"inverter": alone.devices["inverter"].model_copy(update={"port": port})}}
     )
-    session = Session(rig, far.clock, edge=far.edge)
-    session.lenient = True
+    session = Session(rig, far.clock, edge=far.edge, policy=Policy(lenient=True))
     _fault(far, "inverter", "refuses", value=4)
     with session:
         found = device_checks(rig, observe(session, 1.0))

@@ -4,8 +4,8 @@ At such a speed the column hardly bends, so what the sensors see is the runout o
 """
 
 from daq.guided_test_kinds import CHANNELS, GuidedTestRequest, Number, TestKind
+from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import framed, near_resonance, share_of, spin_up
-from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import State, StateObservation, StateTable, StateView
 from daq.guided_tests.test_inputs import speed_refusal
 
@@ -31,7 +31,7 @@ def table(asked: GuidedTestRequest) -> StateTable:
         State(
             "roll",
             does="begin the log",
-            enter=RigOrders.begin,
+            enter=RigCommands.begin,
             waits_for=f"{turns:.0f} revolutions",
             look=turned,
             rpm=rpm,

@@ -1,8 +1,8 @@
-"""Orders of the states of a guided test: log, rotor, pendulum locks, operator."""
+"""Commands of the states of a guided test to log, rotor, pendulum locks and operator."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
 from daq.errors import AcquisitionError, DeviceError, ProcedureError
-from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.hands import (
     CommandedLocks,
     DrivenRotor,
@@ -50,8 +49,25 @@ class Kept:
     summary: Mapping[str, Any]
 
 
-class RigOrders:
-    """Carries out the orders of the tests of one session. `prepare` begins each test.
+@dataclass(frozen=True)
+class TestDemands:
+    """What a test demands of the rig.
+
+    Attributes:
+        test: name of the test in the log.
+        required_at_rest: channels whose silence ends the test even at rest.
+        trusts_angles: whether the test is refused if the counters are wrong at the closed locks.
+    """
+
+    __test__ = False  # not a pytest class
+
+    test: str
+    required_at_rest: tuple[str, ...] = ()
+    trusts_angles: bool = False
+
+
+class RigCommands:
+    """Carries out the commands of the tests of one session. `prepare` begins each test.
 
     Args:
         session: the open rig.
@@ -59,14 +75,12 @@ class RigOrders:
         folder: folder of the logs, whose names are numbered.
         progress: called with a description of the progress and the completed share, 0 … 1 (None if unknown).
         note: the operator's note, written to every log.
+        wait: waits for a condition, as `Session.wait_for`, which it replaces; a request of the operator may end it.
+        rotor, locks: rotor and locks of the tests; those of the session, or the operator's hands, if None.
 
     Attributes:
-        parameters: name of the identified parameters from which the speeds follow; "" for those of the rig file. It is
-            written to every log.
         measures: measured values of the signals.
         rotor, locks: rotor and locks of the test.
-        wait: waits for a condition; `Session.wait_for` until the runner replaces it by a wait that a request can end.
-        request: the requested test.
         memory: values that states keep for later states.
         facts: facts for the summary of the log.
         missed: description of the conditions that were not reached; empty if there are none.
@@ -75,33 +89,35 @@ class RigOrders:
         kept: the finished log of the test; None before it is finished.
     """
 
-    def __init__(self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "") -> None:
+    def __init__(
+        self,
+        session: Session,
+        operator: Operator,
+        folder: Path,
+        progress: Progress,
+        note: str = "",
+        wait: Wait | None = None,
+        rotor: RotorHand | None = None,
+        locks: Locks | None = None,
+    ) -> None:
         self.session: Session = session
         self.operator: Operator = operator
         self.clock: HostClock = session.clock
-        self.parameters = ""
         self.measures: Measures = Measures(session)
-        self.wait: Wait = session.wait_for
-        roles = session.rig.roles
-
-        def wait(condition: Callable[[], bool], wall_s: float, what: str) -> None:
-            self.wait(condition, wall_s, what)
-
-        self.rotor: RotorHand = DrivenRotor(session) if roles.speed else HandRotor(session, operator, progress)
-        commanded = roles.locks is not None
-        self.locks: Locks = CommandedLocks(session, wait) if commanded else HandLocks(session, operator, progress, wait)
+        self.rotor: RotorHand = rotor or _rotor_of(session, operator, progress)
+        self.locks: Locks = locks or _locks_of(session, operator, progress, wait or session.wait_for)
         self._folder, self._progress, self._note = folder, progress, note
         self._early_notes: list[DeviceEvent] = []  # notes made before the log begins
         self._recording = self._turned = self._held = self._trusts_angles = False
 
-    def prepare(self, request: GuidedTestRequest, facts: Mapping[str, str]) -> None:
+    def prepare(self, demands: TestDemands, facts: Mapping[str, str]) -> None:
         """Begin a test: reset the state of the previous one.
 
         Args:
-            request: the requested test.
+            demands: what the test demands of the rig.
             facts: facts for the metadata of its log.
         """
-        self.request: GuidedTestRequest = request
+        self._demands = demands
         self._facts = dict(facts)
         self.memory: dict[str, Any] = {}
         self.facts: dict[str, Any] = {}
@@ -115,13 +131,22 @@ class RigOrders:
 
     def report(self, text: str, share: float | None = None) -> None:
         """Report the progress to the operator."""
-        self._progress(f"{self.request.test}: {text}", share)
+        self._progress(f"{self._demands.test}: {text}", share)
 
     def warn(self, text: str) -> None:
         """Report a warning to the operator and keep it for the log. An empty text is ignored."""
         if text:
             self.warnings.append(text)
             self._progress(text, None)
+
+    def miss(self, what: str) -> None:
+        """Keep the description of the first condition that was not reached. An empty text is ignored."""
+        self.missed = self.missed or what
+
+    def abort(self, why: str) -> None:
+        """Keep that the operator ended the test, unless its log is finished."""
+        if not self.aborted and self.kept is None:
+            self.aborted, self.missed = True, why
 
     def note(self, text: str) -> None:
         """Write a note of the operator to the log with its time. Notes before the log begins are its first events."""
@@ -145,13 +170,12 @@ class RigOrders:
         self._begin(before_s)
 
     def _begin(self, before_s: float) -> Path:
-        request = self.request
+        test = self._demands.test
         self._folder.mkdir(parents=True, exist_ok=True)
-        parameters = {"parameters": self.parameters} if self.parameters else {}
-        facts = {"test": request.test, "note": self._note, **parameters, **self._facts}
-        self.session.need(*request.kind.required_at_rest(self.session.rig.roles))
+        facts = {"test": test, "note": self._note, **self._facts}
+        self.session.need(*self._demands.required_at_rest)
         with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
-            path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{request.test}.mcap"
+            path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{test}.mcap"
             self.session.start_recording(path, facts, before_s)
         self._recording = True
         for event in self._early_notes:
@@ -210,7 +234,7 @@ class RigOrders:
             _, (flags,) = self.session.newest(self.angles.topic, ("flags",), _FLAGS_S)
             if faults := flagged(flags):
                 error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was commanded to stop")
-                self.session.trouble = self.session.trouble or error  # the reason of the end in the open log
+                self.session.fail(error)  # the reason of the end in the open log
                 self.rotor.quick_stop()
                 raise error
 
@@ -232,10 +256,10 @@ class RigOrders:
         _, (a, b, flags) = self.session.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]
         trouble = ". ".join(text for text in wrong if text)
-        if trouble and self.request.kind.trusts_angles:
+        if trouble and self._demands.trusts_angles:
             raise ProcedureError(f"{device}: {trouble}. Nothing was turned, nothing recorded")
         self.warn(f"{device}: {trouble}" if trouble else "")
-        self._trusts_angles = self.request.kind.trusts_angles
+        self._trusts_angles = self._demands.trusts_angles
         self.warn(f"{device}: its battery is low; change it before the next test" if battery_low(flags) else "")
 
     # --- rotor and pendulums -----------------------------------------------------------------------------------
@@ -266,7 +290,7 @@ class RigOrders:
             ProcedureError: `turning` is set and this test has not turned the rotor.
         """
         if turning and not self._turned:
-            raise ProcedureError(f"{self.request.test}: the rotor is at rest, so the pendulums are not released")
+            raise ProcedureError(f"{self._demands.test}: the rotor is at rest, so the pendulums are not released")
         self._held = False
         self.memory["released_ns"] = self.locks.release(turning)
 
@@ -286,7 +310,7 @@ class RigOrders:
             ProcedureError: the rotor is at rest, and the pendulums are not locked although `free` is not set.
         """
         if not self._held and not self._turned and not free:
-            raise ProcedureError(f"{self.request.test}: the pendulums are not locked, so the rotor is not turned")
+            raise ProcedureError(f"{self._demands.test}: the pendulums are not locked, so the rotor is not turned")
         self._turned = True
         self.rotor.go(rpm, ramp_rpm_per_s)
 
@@ -299,3 +323,12 @@ class RigOrders:
         """Stop a rotor that this test has turned as fast as possible, without waiting for rest."""
         if self._turned:
             self.rotor.quick_stop()
+
+
+def _rotor_of(session: Session, operator: Operator, progress: Progress) -> RotorHand:
+    return DrivenRotor(session) if session.rig.roles.speed else HandRotor(session, operator, progress)
+
+
+def _locks_of(session: Session, operator: Operator, progress: Progress, wait: Wait) -> Locks:
+    commanded = session.rig.roles.locks is not None
+    return CommandedLocks(session, wait) if commanded else HandLocks(session, operator, progress, wait)
