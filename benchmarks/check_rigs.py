@@ -123,7 +123,7 @@ def failed_checks(name: str, seed: int, fault: Fault | None) -> dict[str, str]:
         fault.prepare(far)
     with session:
         found: dict[str, Checks] = device_checks(rig, observe(session, SECONDS))
-        if (fault is None or fault.swapped) and not session.unopened:
+        if (fault is None or fault.swapped) and not session.devices.unopened:
             for device, checks in tap_test(session, lambda text: _tap(far, text[-1], rng)).items():
                 found[device] |= checks
     each = [(f"{device} {what}", one) for device, checks in found.items() for what, one in checks.items()]

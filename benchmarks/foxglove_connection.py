@@ -84,7 +84,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         messages = (count.value - began[3]) / passed
         if name == "stands still":
             os.kill(pid, signal.SIGCONT)
-        losses = session.losses()
+        losses = session.recording.losses()
         path = session.stop_recording({})
     left_out = connection.left_out if connection is not None else 0
     print(

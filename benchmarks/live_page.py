@@ -163,7 +163,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         frames = (sum(s.frames for s in seen) - began[3]) / passed / len(seen)
         if name == "page stands still":
             os.kill(pid, signal.SIGCONT)
-        losses = session.losses()
+        losses = session.recording.losses()
         path = session.stop_recording({})
     print(
         f"{name:18} {reads_of(path, losses)}; recorder {100 * ours / passed:4.1f} %, "

@@ -183,23 +183,23 @@ class LivePage(FedProcess):
         facts = self._session_facts(session) if last or now_s - self._facts_s >= _FACTS_S else None
         self._facts_s = now_s if facts is not None else self._facts_s
         heard_ns = session.clock.now_ns()
-        rows = self._newest.take(session.recent, heard_ns)
+        rows = self._newest.take(session.channels.recent, heard_ns)
         return {"heard_ns": heard_ns, "rows": rows, "events": drained(self._events), "facts": facts}
 
     def _session_facts(self, session: Session) -> dict[str, Any]:
-        disk = session.disk()
+        disk = session.recording.disk()
         stopping, ended = session.trouble is not None, session.closed
         tests = [] if stopping else self._asking.can()
         can = [] if ended else [*tests, *(["stop"] if self._stop is not None else []), "note"]
-        log = {} if session.log is None else {"log": str(session.log)}
+        log = {} if session.recording.path is None else {"log": str(session.recording.path)}
         return {
             **log,
             **self._facts,
             **self._asking.facts(),
             "stopping": stopping,
             "ended": ended,
-            "losses": session.losses(),
-            "rates": session.rates.now(),
+            "losses": session.recording.losses(),
+            "rates": session.channels.rates.now(),
             "disk": None if disk is None else disk.facts(),
             "feed_dropped": self._newest.left_out,
             "trouble": str(session.trouble or session.rotor_warning or (self._no_stop() if self._stop else "")),

@@ -185,8 +185,10 @@ def record(
                 ended = _record_until(session, status, recording.duration, recording.until_silent)
             if not listen:
                 session.warn_of_obstacles()
-            losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
-            unheard = [f"{device}: no byte was received{_WHILE_LISTENING * listen}" for device in session.unheard]
+            losses, disk, rates = session.recording.losses(), session.recording.disk(), session.channels.rates.summary()
+            unheard = [
+                f"{device}: no byte was received{_WHILE_LISTENING * listen}" for device in session.devices.unheard
+            ]
             path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
     if json:
@@ -221,8 +223,8 @@ def _record_until(
         while session.clock.now_ns() < end:
             session.check()
             status.show()
-            heard = heard or session.bytes_in > 0
-            if until_silent_s is not None and heard and session.silent_s > until_silent_s:
+            heard = heard or session.devices.bytes_in > 0
+            if until_silent_s is not None and heard and session.devices.silent_s > until_silent_s:
                 return "silence"
             time.sleep(0.1)
     except KeyboardInterrupt as stop:

@@ -220,7 +220,8 @@ def stop_stated() -> Generator[list[Session]]:
         yield opened
     except KeyboardInterrupt:
         for session in opened:
-            kept = "no log had begun" if session.log is None else f"the log is kept: {session.log}"
+            log = session.recording.path
+            kept = "no log had begun" if log is None else f"the log is kept: {log}"
             notify(f"the test was stopped; {session.rotor_warning or 'the rotor is at rest'}; {kept}")
         raise
 

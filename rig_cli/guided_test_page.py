@@ -66,7 +66,7 @@ def readings(session: Session) -> list[Reading]:
             span = math.degrees(float(np.ptp(values))) if len(values) else math.nan
             found.append(Reading(name, "°", math.degrees(_last(values)) % 360, span))
     if roles.speed is not None or roles.phase is not None:
-        rpm = session.rotor_rpm()
+        rpm = session.rotor.rpm()
         found.append(Reading("speed", "rpm", rpm, used=abs(rpm) / limits.speed_rpm))
     return found
 
@@ -102,7 +102,7 @@ class TestPage(LiveTable):
         notify(f"[{now:6.1f} s] {'; '.join(parts)}")
 
     def _losses(self) -> str:
-        return Losses(self._session.losses(), "health").words()
+        return Losses(self._session.recording.losses(), "health").words()
 
     def _page(self) -> Group:
         status = self._controls.status
@@ -131,7 +131,7 @@ class TestPage(LiveTable):
 
 def _newest(session: Session, topic: str, field: str) -> NDArray[np.float64]:
     """Return the valid values of the last second."""
-    _, (values,) = session.newest(topic, (field,), _SPAN_S)
+    _, (values,) = session.channels.newest(topic, (field,), _SPAN_S)
     known: NDArray[np.float64] = np.asarray(values, np.float64)
     return known[np.isfinite(known)]
 

@@ -42,14 +42,14 @@ class RecordingStatus(LiveTable):
         if self._live is not None:
             self._live.update(self._table(), refresh=True)
         else:
-            parts = (self._losses(), self._session.rates.now(), _disk(self._session.disk()))
+            parts = (self._losses(), self._session.channels.rates.now(), _disk(self._session.recording.disk()))
             notify(f"{self._elapsed()}  {'; '.join(part for part in parts if part)}")
 
     def _elapsed(self) -> str:
         return f"[{time.monotonic() - self._started:7.1f} s]"
 
     def _losses(self) -> str:
-        return Losses(self._session.losses(), "health").words()
+        return Losses(self._session.recording.losses(), "health").words()
 
     def _table(self) -> Group:
         table = Table(box=None, pad_edge=False)
@@ -57,9 +57,9 @@ class RecordingStatus(LiveTable):
             table.add_column(title, justify="left" if title == "channel" else "right")
         since = self._session.clock.now_ns() - 1_000_000_000
         for topic, field, scale, unit in _ROWS:
-            times, (values,) = self._session.recent.last(topic, (field,), since)
+            times, (values,) = self._session.channels.recent.last(topic, (field,), since)
             table.add_row(f"{topic} {field}", *_figures(times, values * scale, unit))
-        losses, rates, disk = self._losses(), self._session.rates.now(), self._session.disk()
+        losses, rates, disk = self._losses(), self._session.channels.rates.now(), self._session.recording.disk()
         return Group(
             table,
             Text(f"{self._elapsed()} recording; Ctrl-C ends it"),

@@ -113,7 +113,7 @@ class LiveTracking:
             self._tracker.feed_encoders(time_ns, np.column_stack([a, b]))
 
     def _new(self, topic: str, fields: tuple[str, ...]) -> tuple[np.ndarray, list[np.ndarray]]:
-        time_ns, columns = self._session.recent.last(topic, fields, self._last_ns[topic] + 1)
+        time_ns, columns = self._session.channels.recent.last(topic, fields, self._last_ns[topic] + 1)
         if len(time_ns):
             self._last_ns[topic] = int(time_ns[-1])
         return time_ns, columns

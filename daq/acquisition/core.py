@@ -1,6 +1,6 @@
 """Decisions of the acquisition, without I/O and without a clock.
 
-The input is the bytes of the devices with their host time, and ticks. The output is orders: bytes and events for the
+The input is the bytes of the devices with their host time, and ticks. The output is effects: bytes and events for the
 log, messages for the operator, stops of the rotor. The session, which owns ports, clock and disk, carries them out
 (`daq.acquisition.session`) in real time or on a simulated clock.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from daq.acquisition.channel_watch import HOST
+from daq.acquisition.effects import Effect, Happened, Keep, Note, StopRotor, Warn, WriteHealth
 from daq.acquisition.host_load import HostLoad
 from daq.acquisition.interlock_table import LINE_S, LOOK_S
 from daq.acquisition.interlocks import Interlocks, Stop
@@ -39,54 +40,6 @@ _WATCH_PERIOD_S = 0.25  # of the check for silent devices, wall s
 _HEALTH_PERIOD_S = 1.0  # of health reports, rig s
 _NOT_CLEAN = {"restart": ". Its clock is not continuous: this log is not analysed", "doubt": ""}  # of sensors at rest
 _MAX_REASON_DELAY_S = 0.3  # between the state of a drive that stopped and its report of the reason, wall s
-
-
-@dataclass(frozen=True)
-class Keep:
-    """Write bytes and the items decoded from them to the log, both or neither."""
-
-    device: str
-    direction: int
-    data: bytes
-    items: tuple[Batch | DeviceEvent, ...]
-    host_ns: int
-
-
-@dataclass(frozen=True)
-class Happened:
-    """Forward an event of a device to the observers and to the dialogue that waits for it."""
-
-    event: DeviceEvent
-
-
-@dataclass(frozen=True)
-class Note:
-    """Write an event of the host to the log."""
-
-    event: DeviceEvent
-    host_ns: int
-
-
-@dataclass(frozen=True)
-class WriteHealth:
-    """Write a health report to the log."""
-
-    facts: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Warn:
-    """Show a message to the operator immediately."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class StopRotor:
-    """Stop the rotor with the drive as fast as possible. Without a drive the order has no effect."""
-
-
-Order = Keep | Happened | Note | WriteHealth | Warn | StopRotor
 
 
 @dataclass(frozen=True)
@@ -134,7 +87,7 @@ class Core:
         life: stage of the session.
 
     Attributes:
-        policy, life: see above.
+        rig, policy, life: see above.
         trouble: the first error that ended the run; None if there is none.
         notices: warnings shown to the operator. A run with warnings is not a clean run.
         bytes_in: number of bytes received, by device.
@@ -145,7 +98,8 @@ class Core:
     """
 
     def __init__(self, rig: Rig, patience: Callable[[float], float], policy: Policy, life: Life) -> None:
-        self._rig, self._patience = rig, patience
+        self.rig: Rig = rig
+        self._patience = patience
         self.policy: Policy = policy
         self.life: Life = life
         self._known = devices_of(rig.devices)
@@ -174,7 +128,7 @@ class Core:
         self.trips: Trips = self._no_trips()
 
     def _no_trips(self) -> Trips:
-        return Trips(channels_of(self._rig.devices).values(), self._rig.roles, self._patience)
+        return Trips(channels_of(self.rig.devices).values(), self.rig.roles, self._patience)
 
     # --- a log begins --------------------------------------------------------------------------------------------
 
@@ -196,7 +150,7 @@ class Core:
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
         self.recent.clear()
-        self.rates = RateWatches(self._rig.devices, self._patience)
+        self.rates.begin()
         self.interlocks.begin(now_ns)
         since = now_ns - int(before_s * 1e9)
         tripped, self.trips = self.trips.reasons, self._no_trips()
@@ -244,8 +198,8 @@ class Core:
 
     # --- bytes of the devices ------------------------------------------------------------------------------------
 
-    def feed(self, device: str, direction: int, data: bytes, host_ns: int) -> Iterator[Order]:
-        """Process bytes from or to a device. The caller carries out each order before it requests the next one."""
+    def feed(self, device: str, direction: int, data: bytes, host_ns: int) -> Iterator[Effect]:
+        """Process bytes from or to a device. The caller carries out each effect before it requests the next one."""
         if direction == RX:
             self.bytes_in[device] += len(data)
             self._heard_ns[device] = host_ns
@@ -281,13 +235,13 @@ class Core:
                 found = [DeviceEvent("undecodable", HOST, text, {"of": device})]
         return Keep(device, direction, data, tuple(found), host_ns)
 
-    def _emergency(self, event: DeviceEvent) -> Iterator[Order]:
+    def _emergency(self, event: DeviceEvent) -> Iterator[Effect]:
         words = self._known[event.device].driver.words(event)
         if words and self.life.stage is not Stage.CLOSED:
             yield from self.warn(f"{event.device}: emergency {words}. The run is not clean")
 
-    def _act_on(self, found: Iterable[DeviceEvent | Stop], host_ns: int) -> Iterator[Order]:
-        """Convert findings of the interlocks to orders."""
+    def _act_on(self, found: Iterable[DeviceEvent | Stop], host_ns: int) -> Iterator[Effect]:
+        """Convert findings of the interlocks to effects."""
         for item in found:
             if isinstance(item, DeviceEvent):
                 yield Note(self._explained(item), host_ns)
@@ -305,7 +259,7 @@ class Core:
             return event
         return replace(event, text=f"{event.text} ({meaning})")
 
-    def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Order]:
+    def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Effect]:
         """Add a stop to the trip. The first one ends the run."""
         self.trips.tripped(stop.interlock, stop.text, host_ns)
         if self.trouble is None:
@@ -315,17 +269,17 @@ class Core:
 
     @property
     def _stopped(self) -> str:
-        return "stop the rotor" if self._rig.roles.speed is None else "the rotor was commanded to stop"
+        return "stop the rotor" if self.rig.roles.speed is None else "the rotor was commanded to stop"
 
     # --- errors that end the run ---------------------------------------------------------------------------------
 
-    def fail(self, error: Exception, now_ns: int) -> Iterator[Order]:
-        """End the run with its first error, and stop the rotor with every error, since a stop order may get lost."""
+    def fail(self, error: Exception, now_ns: int) -> Iterator[Effect]:
+        """End the run with its first error, and stop the rotor with every error, since a stop may get lost."""
         with self._first:
             first = self.trouble is None
             if first:
                 self.trouble = error
-        if self._rig.roles.speed is not None:
+        if self.rig.roles.speed is not None:
             yield StopRotor()
             self.interlocks.commanded(0.0)
         elif first and self.policy.commands and self.interlocks.turning(now_ns):
@@ -334,7 +288,7 @@ class Core:
             self._end = Note(DeviceEvent("stop", HOST, str(error)), now_ns)
             yield self._end
 
-    def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
+    def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Effect]:
         """Handle the loss of a device's link.
 
         The run ends if the rotor turns, while devices are opened, and if no device is left. Otherwise the run continues
@@ -352,7 +306,7 @@ class Core:
         yield Note(DeviceEvent("gone", HOST, str(error), {"of": device}), now_ns)
         yield from self.warn(f"{error}. The other devices continue; the program tries to open it again")
 
-    def back(self, device: str, port: str, now_ns: int) -> Iterator[Order]:
+    def back(self, device: str, port: str, now_ns: int) -> Iterator[Effect]:
         """Record that a device with a lost link streams again."""
         self.gone.pop(device, None)
         self.rates.restart(device)
@@ -361,12 +315,12 @@ class Core:
             DeviceEvent("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns
         )
 
-    def restored(self, device: str, now_ns: int) -> Iterator[Order]:
+    def restored(self, device: str, now_ns: int) -> Iterator[Effect]:
         """Record that a device is set up again which was silent or sent something else."""
         self.rates.restart(device)
         yield Note(DeviceEvent("set_up", HOST, f"{device}: set up again", {"of": device}), now_ns)
 
-    def warn(self, text: str) -> Iterator[Order]:
+    def warn(self, text: str) -> Iterator[Effect]:
         """Show a warning to the operator once, and keep it in `notices`."""
         if text not in self.notices:
             self.notices.append(text)
@@ -381,7 +335,7 @@ class Core:
         """
         if self.trouble is not None:
             raise self.trouble
-        limit = self._rig.limits.speed_rpm
+        limit = self.rig.limits.speed_rpm
         if rpm is not None and abs(rpm) > limit:
             raise ProcedureError(f"{rpm:.0f} rpm requested, limits.speed_rpm is {limit:.0f}: no speed was commanded")
         if rpm != 0 and (obstacles := self.interlocks.obstacles(now_ns)):
@@ -393,7 +347,7 @@ class Core:
 
     def tick(
         self, now_ns: int, drive: DriveState | None, disk: DiskState | None, disk_trouble: Exception | None
-    ) -> Iterator[Order]:
+    ) -> Iterator[Effect]:
         """Check deadlines, drive and disk. It is called every `LOOK_S` of wall time.
 
         Args:
@@ -419,9 +373,9 @@ class Core:
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
             facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
-            yield WriteHealth({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)})
+            yield WriteHealth({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)}, now_ns)
 
-    def _look_at_drive(self, drive: DriveState, now_ns: int) -> Iterator[Order]:
+    def _look_at_drive(self, drive: DriveState, now_ns: int) -> Iterator[Effect]:
         """Stop a drive that left operation without a command.
 
         The stop is immediate. The run ends when the drive has reported its reason, or after `_MAX_REASON_DELAY_S`.
@@ -454,7 +408,7 @@ class Core:
         )
         return Note(DeviceEvent("disk", HOST, text, disk.facts()), now_ns)
 
-    def _look_for_silence(self, now_ns: int) -> Iterator[Order]:
+    def _look_for_silence(self, now_ns: int) -> Iterator[Effect]:
         """Warn of devices that send no bytes. The interlocks decide whether the run ends."""
         limit_ns = self._patience(LINE_S) * 1e9
         silent = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
@@ -467,7 +421,7 @@ class Core:
             yield Note(DeviceEvent("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = silent, (self.mute | certain) & silent
 
-    def report_lost_set_ups(self, now_ns: int) -> Iterator[Order]:
+    def report_lost_set_ups(self, now_ns: int) -> Iterator[Effect]:
         """Warn of devices that send, but no longer as they were set up; of each once."""
         found = self.altered if self.policy.commands and self.life.guarding else {}
         for name, sign in found.items():

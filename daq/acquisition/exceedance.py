@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 TOGETHER = 64
@@ -43,42 +43,20 @@ class Exceedance:
 
     def look(self, values: NDArray[np.floating[Any]]) -> SampleSummary:
         """Process the next samples, shape (n,), NaN if invalid, and return their summary."""
-        own = np.ascontiguousarray(values, np.float64)
-        invalid, last, newest, largest, apart, self._since = _look(own, self._limit, self._since)
-        return SampleSummary(invalid, last, newest, largest if apart <= TOGETHER else None)
+        count, size = len(values), np.abs(values)
+        if count and size.max() <= self._limit:  # the usual case; false with an invalid sample
+            self._since += count
+            return SampleSummary(0, 0, float(values[-1]), None)
+        valid = np.flatnonzero(~np.isnan(values))
+        beyond = np.flatnonzero(size > self._limit)
+        apart = int(np.min(np.diff(beyond, prepend=-self._since), initial=TOGETHER + 1))
+        self._since = count - int(beyond[-1]) if len(beyond) else self._since + count
+        if not len(valid):
+            return SampleSummary(count, count, math.nan, None)
+        last = int(valid[-1])
+        largest = float(np.nanmax(size)) if apart <= TOGETHER else None
+        return SampleSummary(count - len(valid), count - 1 - last, float(values[last]), largest)
 
     def feed(self, values: NDArray[np.floating[Any]]) -> float | None:
         """Process the next samples and return `SampleSummary.beyond`."""
         return self.look(values).beyond
-
-
-@njit(cache=True, nogil=True)
-def _look(
-    values: NDArray[np.float64], limit: float, since: int
-) -> tuple[int, int, float, float, int, int]:  # pragma: no cover - compiled
-    """Return the counts and the newest value of a SampleSummary, and the state of an Exceedance.
-
-    The state is the largest magnitude, the least distance of two samples beyond the limit, and the distance to the last
-    one, in samples.
-    """
-    invalid = invalid_last = 0
-    newest, largest = np.nan, 0.0
-    apart = TOGETHER + 1
-    for value in values:
-        if np.isnan(value):
-            invalid += 1
-            invalid_last += 1
-            since += 1
-            continue
-        invalid_last, newest = 0, value
-        largest = max(largest, abs(value))
-        if abs(value) > limit:
-            apart = min(apart, since)
-            since = 0
-        since += 1
-    return invalid, invalid_last, newest, largest, apart, since
-
-
-def compile_look() -> None:
-    """Compile `_look`, or load it from the cache, so that no sample is delayed by the compilation."""
-    Exceedance(1.0).feed(np.zeros(1))

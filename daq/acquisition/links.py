@@ -10,8 +10,9 @@ from functools import partial
 from typing import Any
 
 from daq.acquisition.channel_watch import HOST
-from daq.acquisition.core import Core, Note, Order
+from daq.acquisition.core import Core
 from daq.acquisition.edge import Edge
+from daq.acquisition.effects import Effect, Note
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
 from daq.drivers.contract import (
@@ -230,7 +231,7 @@ class Links:
 
     # --- devices that return -------------------------------------------------------------------------------------
 
-    def attend(self, command: RotorCommand) -> Iterator[Order]:
+    def attend(self, command: RotorCommand) -> Iterator[Effect]:
         """Try to reopen devices that were unplugged or have lost power, and set up those that have lost their settings.
 
         The method is called in the waits of the session, so that no second thread talks to a device. While a commanded
@@ -257,7 +258,7 @@ class Links:
             self._attending = False
             self._retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
 
-    def reopened(self, name: str, command: RotorCommand) -> Iterator[Order]:
+    def reopened(self, name: str, command: RotorCommand) -> Iterator[Effect]:
         """Open a lost device on the ports where it may have returned. A device with another identity is refused.
 
         Its pipeline continues, so that lost samples are counted as at any other gap.
@@ -285,7 +286,7 @@ class Links:
             yield from self._core.back(name, port, self._clock.now_ns())
             return
 
-    def _woken(self, name: str, command: RotorCommand) -> Generator[Order, None, bool]:
+    def _woken(self, name: str, command: RotorCommand) -> Generator[Effect, None, bool]:
         """Set up a device with an open link that sends nothing or something else, since it may have lost power.
 
         Another device in its place is stopped: its samples must not be recorded as those of the known one.
@@ -347,7 +348,7 @@ class Links:
             command.drive.start()
         self._failures.pop(name, None)
 
-    def _refused(self, name: str, text: str) -> Iterator[Order]:
+    def _refused(self, name: str, text: str) -> Iterator[Effect]:
         """Report a failed attempt to the operator and to the log.
 
         Repeated failures are not reported, and of failures with other texts, such as with numbers of bytes, the first

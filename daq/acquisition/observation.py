@@ -41,53 +41,53 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
     """
     events: list[DeviceEvent] = []
     session.device_event_observers.append(events.append)
-    before, started = session.losses(), session.clock.now_ns()
+    before, started = session.recording.losses(), session.clock.now_ns()
     begun_s = session.clock.wall_s()
-    if not session.rig.devices.keys() - session.unopened.keys():
+    if not session.rig.devices.keys() - session.devices.unopened.keys():
         seconds = min(seconds, _STEP_S)  # nothing can arrive
     stds: dict[str, list[float]] = {}
     while (passed := session.clock.wall_s() - begun_s) < seconds:
         progress(passed / seconds)
         session.clock.wait(min(_STEP_S, seconds - passed))
-        for name, std_ns in session.clock_stds_ns().items():
+        for name, std_ns in session.devices.clock_stds_ns().items():
             stds.setdefault(name, []).append(std_ns)
     wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
-    while not session.all_identified() and session.clock.now_ns() < wait:
+    while not session.devices.all_identified() and session.clock.now_ns() < wait:
         session.clock.sleep(_STEP_S)
     session.device_event_observers.remove(events.append)
-    roles, plain, unopened = session.rig.roles, plain_rates(session, started), session.unopened
+    roles, plain, unopened = session.rig.roles, plain_rates(session, started), session.devices.unopened
     scale = session.clock.patience(1.0)  # delays of the host are wall time
     speed, lasers = roles.speed, (*roles.displacements, *roles.witnesses)
     return RigObservation(
         seconds=(session.clock.now_ns() - started) * 1e-9,
-        rates=session.rates.rates(),
+        rates=session.channels.rates.rates(),
         host_rates_Hz=plain,
-        losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
+        losses={name: _more(lost, before[name]) for name, lost in session.recording.losses().items()},
         events=events,
         displacements={sensor.topic: _displacement(session, sensor.topic, started) for sensor in lasers},
         angles=roles.angles and _angles(session, roles.angles, started),
         speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
         time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
-        own=_with_duties(session.own_checks(events), roles),
+        own=_with_duties(session.devices.own_checks(events, session.rotor), roles),
         clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) / scale for name, found in stds.items()},
         unopened=unopened,
-        complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
+        complaints={name: text for name in session.rig.devices if (text := session.devices.identification_of(name)[1])},
         by_radio=frozenset(
             name for name, each in devices_of(session.rig.devices).items() if isinstance(each.driver, SendsByRadio)
         ),
-        rotor_rpm=session.rotor_rpm(),
-        speeds=recent_agreement(session.recent, roles, started),
+        rotor_rpm=session.rotor.rpm(),
+        speeds=recent_agreement(session.channels.recent, roles, started),
         round_trip_s=None if roles.phase is None else _round_trip(session, roles.phase.device),
     )
 
 
 def _displacement(session: Session, topic: str, started_ns: int) -> ObservedDisplacement:
-    time_ns, (value,) = session.recent.last(topic, ("displacement_m",), started_ns)
+    time_ns, (value,) = session.channels.recent.last(topic, ("displacement_m",), started_ns)
     return ObservedDisplacement.since(started_ns, time_ns, value)
 
 
 def _angles(session: Session, role: PendulumAngles, started_ns: int) -> ObservedAngles:
-    _, (a, b, flags) = session.recent.last(role.topic, ("theta3_rad", "theta4_rad", "flags"), started_ns)
+    _, (a, b, flags) = session.channels.recent.last(role.topic, ("theta3_rad", "theta4_rad", "flags"), started_ns)
     return ObservedAngles(np.column_stack([a, b])[-max(1, round(_LOCKED_S * role.rate_Hz)) :], flags)
 
 
@@ -104,10 +104,10 @@ def _time_out(session: Session, speed: SpeedSource) -> TimeOut | str:
 
 def _round_trip(session: Session, device: str) -> float | None:
     """Measure the round trip of a device; None if it is not open, cannot measure it, or does not answer."""
-    if device in session.unopened:
+    if device in session.devices.unopened:
         return None
     with ignoring(_log, "measuring the round trip of a device without a link", LinkLost):
-        return session.measure_round_trip(device)
+        return session.rotor.measure_round_trip(device)
     return None
 
 
@@ -126,8 +126,8 @@ def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
 def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
     """Return the samples per second of every channel since an instant, without lost ones."""
     rates: dict[str, float] = {}
-    for topic in session.topics:
-        times, _ = session.recent.last(topic, (), started_ns)
+    for topic in session.channels.topics:
+        times, _ = session.channels.recent.last(topic, (), started_ns)
         span = float(times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
         rates[topic] = (len(times) - 1) / span if span > 0 else math.nan
     return rates

@@ -164,12 +164,17 @@ class RateWatches:
 
     def __init__(self, devices: Mapping[str, DeviceSettings], patience: Callable[[float], float] = float) -> None:
         known = devices_of(devices)
-        clocks = [clock for device in known.values() for clock in device.clocks]
-        self._watches = {clock.topic: RateWatch(clock, patience(_MIN_DELAY_ERROR_S)) for clock in clocks}
+        self._clocks = [clock for device in known.values() for clock in device.clocks]
+        self._delay_s = patience(_MIN_DELAY_ERROR_S)
         self._min_span_s = min(patience(_MIN_SPAN_S), 0.9e-9 * _BINS * _BIN_NS)
         self._look_ns = round(patience(_LOOK_NS))
         self._first_look_ns = round(patience(_FIRST_LOOK_NS))
         self._topics_of = {name: [clock.topic for clock in device.clocks] for name, device in known.items()}
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a log: discard all samples and counts."""
+        self._watches = {clock.topic: RateWatch(clock, self._delay_s) for clock in self._clocks}
         self._due: dict[str, int] = {}
         self._suspect: set[str] = set()
         self._wrong: dict[str, Rate] = {}

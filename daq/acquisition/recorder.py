@@ -12,15 +12,15 @@ import logging
 import shutil
 import threading
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from daq import channels
+from daq.acquisition.effects import Keep, Note, WriteHealth
 from daq.channels import CHANNELS, Channel
 from daq.errors import LogError, RecordingError
-from daq.items import Batch, DeviceEvent, joined
+from daq.items import Batch, joined
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
 from rig_basics.texts import distinct
@@ -37,37 +37,8 @@ _SPARE_BYTES = 2 * 2**20  # space reserved on the disk to finish the file …
 _SPARE_BYTES_A_FLUSH = 300  # … and its increase with every flush, for the index of the file
 
 
-class _Raw(NamedTuple):
-    """Raw bytes in the backlog."""
-
-    device: str
-    direction: int
-    data: bytes
-    host_ns: int
-
-
-class _Samples(NamedTuple):
-    """Decoded samples in the backlog."""
-
-    batch: Batch
-    host_ns: int
-
-
-class _HostEvent(NamedTuple):
-    """An event in the backlog."""
-
-    event: DeviceEvent
-    host_ns: int
-
-
-class _Health(NamedTuple):
-    """A health report in the backlog."""
-
-    facts: Mapping[str, Any]
-    host_ns: int
-
-
-_Item = _Raw | _Samples | _HostEvent | _Health
+Recorded = Keep | Note | WriteHealth
+"""Effects that are written to a log."""
 
 
 @dataclass(frozen=True)
@@ -170,8 +141,8 @@ class Recorder:
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
         self.path: Path = self._log.path
         self.part: Path = self._log.part
-        self._lock = threading.RLock()
-        self._backlog: list[_Item] = []
+        self._lock = threading.Lock()
+        self._backlog: list[Recorded] = []
         self._backlog_bytes = 0
         self._unsynced = threading.Event()
         self._flushed_at = self._synced_to = clock.wall_s()
@@ -192,45 +163,24 @@ class Recorder:
 
     # --- from the readers ----------------------------------------------------------------------------------------
 
-    def raw(self, device: str, direction: int, data: bytes, host_ns: int) -> bool:
-        """Record bytes in either direction.
-
-        Samples decoded from accepted bytes are always accepted, so that a log contains both or neither.
+    def add(self, effect: Recorded) -> bool:
+        """Record bytes with their items, an event or a health report.
 
         Returns:
-            False if the recording has ended; the samples decoded from the bytes must not be recorded either.
+            False if the recording has ended: bytes are not accepted any more, and neither are their items.
         """
-        if self.trouble is not None:
+        if isinstance(effect, Keep) and self.trouble is not None:
             return False
-        self._add(_Raw(device, direction, data, host_ns), len(data))
-        return True
-
-    def batch(self, batch: Batch, host_ns: int) -> None:
-        """Record decoded samples."""
-        self._add(_Samples(batch, host_ns), len(batch.time_ns) * batch.channel.dtype.itemsize)
-
-    def event(self, event: DeviceEvent, host_ns: int) -> None:
-        """Record an event."""
-        self._add(_HostEvent(event, host_ns), 0)
-
-    def health(self, facts: Mapping[str, Any]) -> None:
-        """Record a health report."""
-        self._add(_Health(dict(facts), self._clock.now_ns()), 0)
-
-    def _add(self, item: _Item, size: int) -> None:
         with self._lock:
-            self._backlog.append(item)
-            self._backlog_bytes += size + _ITEM_BYTES
+            self._backlog.append(effect)
+            self._backlog_bytes += _size_of(effect)
             is_full = self._backlog_bytes > BACKLOG_BYTES
         if is_full:
             self._end_because(
                 f"the disk is too slow, {BACKLOG_BYTES / 2**20:.0f} MB wait to be written. The log ends here and is "
                 "complete; use a faster disk, or find out which other program is writing to this one"
             )
-
-    def together(self) -> AbstractContextManager[Any]:
-        """Return a context whose items are written together, so that a log has bytes and samples or neither."""
-        return self._lock
+        return True
 
     # --- state ---------------------------------------------------------------------------------------------------
 
@@ -298,18 +248,21 @@ class Recorder:
         with self._lock:
             self._backlog_bytes -= size
 
-    def _write(self, items: list[_Item]) -> None:
+    def _write(self, effects: list[Recorded]) -> None:
         """Write raw bytes and events in their order, and the samples of each channel as one block."""
         batches: dict[str, list[tuple[Batch, int]]] = {}
-        for item in items:
-            match item:
-                case _Raw(device, direction, data, host_ns):
+        for effect in effects:
+            match effect:
+                case Keep(device, direction, data, items, host_ns):
                     self._log.raw(device, direction, data, host_ns)
-                case _Samples(batch, host_ns):
-                    batches.setdefault(batch.channel.topic, []).append((batch, host_ns))
-                case _HostEvent(event, host_ns):
+                    for item in items:
+                        if isinstance(item, Batch):
+                            batches.setdefault(item.channel.topic, []).append((item, host_ns))
+                        else:
+                            self._log.event(item, host_ns)
+                case Note(event, host_ns):
                     self._log.event(event, host_ns)
-                case _Health(facts, host_ns):
+                case WriteHealth(facts, host_ns):
                     self._log.note(channels.HEALTH_TOPIC, facts, host_ns, host_ns)
         for arrived in batches.values():
             batch, host_ns = joined(arrived)
@@ -355,3 +308,12 @@ class Recorder:
         if self._failure is not None and self.trouble is not None:
             raise self.trouble
         return self.path
+
+
+def _size_of(effect: Recorded) -> int:
+    """Return the memory of an effect, bytes."""
+    if not isinstance(effect, Keep):
+        return _ITEM_BYTES
+    batches = (item for item in effect.items if isinstance(item, Batch))
+    samples = sum(len(batch.time_ns) * batch.channel.dtype.itemsize for batch in batches)
+    return len(effect.data) + samples + _ITEM_BYTES * (1 + len(effect.items))

@@ -7,7 +7,15 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from daq.acquisition.core import Core, DriveState
-from daq.drivers.contract import LockControl, MovesLocks, Pipeline, RotorGuard, SpeedControl, TurnsRotor
+from daq.drivers.contract import (
+    LockControl,
+    MeasuresRoundTrip,
+    MovesLocks,
+    Pipeline,
+    RotorGuard,
+    SpeedControl,
+    TurnsRotor,
+)
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -79,6 +87,32 @@ class RotorCommand:
         """Return whether the rotor turns, or its state is unknown."""
         return self._core.interlocks.turning(self._clock.now_ns())
 
+    def rpm(self) -> float:
+        """Return the measured speed, rpm: by the index marks if the rig has them, else by the drive; NaN if unknown."""
+        return self._core.interlocks.measured_rpm(self._clock.now_ns())
+
+    def words(self, after: str = "") -> str:
+        """Return the state of a rotor that is not at rest, for a message; `after` is the time that it had."""
+        state = "the state of the rotor is unknown" if self.at_rest() is None else "the rotor still turns"
+        return f"{state}{after} ({self._core.interlocks.rotor_words(self._clock.now_ns())})"
+
+    def wait_for_rest(self, wall_s: float) -> None:
+        """Wait until the rotor is at rest.
+
+        Args:
+            wall_s: timeout, wall s.
+
+        Raises:
+            DeviceError: at the timeout the rotor turns, or its state is unknown.
+        """
+        deadline = self._clock.wall_s() + wall_s
+        while not self.at_rest():
+            self._check()
+            if self._clock.wall_s() > deadline:
+                advice = self._core.host.words(self._clock.now_ns()) or "Look at drive and rotor"
+                raise DeviceError(f"{self.words(f' after {wall_s:g} s')}. {advice}")
+            self._clock.wait(0.003)
+
     @property
     def dropped_out(self) -> bool:
         """Whether the drive left operation without a command."""
@@ -104,6 +138,28 @@ class RotorCommand:
         if self.drive is not None:
             self.started = True
             self.drive.start()
+
+    def command_locks(self, action: str) -> None:
+        """Send a command for the pendulum locks and wait for its acknowledgement.
+
+        Raises:
+            DeviceError: the command was refused (with the reason) or not acknowledged, or the rig has no such locks.
+        """
+        if self.locks is None or self._core.rig.roles.locks is None:
+            raise DeviceError(f"rig {self._core.rig.name} has no locks that can be commanded: {action} by hand")
+        self._core.interlocks.counters_set()
+        self.locks.command(action, self._check)
+        self._core.interlocks.counters_set()  # an angle between the two may still be the old one
+
+    def measure_round_trip(self, device: str) -> float | None:
+        """Return the result of `MeasuresRoundTrip`, s; None if a device does not answer or cannot measure it.
+
+        Raises:
+            LinkLost: the connection to the device is lost.
+        """
+        if self.locks_name != device or not isinstance(self.locks, MeasuresRoundTrip):
+            return None
+        return self.locks.measure_round_trip()
 
     def quick_stop(self) -> None:
         """Stop the drive. If its link is lost, its heartbeat watchdog stops it."""

@@ -1,7 +1,7 @@
 """An open rig: ports, clock and disk for the core of the acquisition.
 
 Every device has a reader. The session passes the bytes of the readers to the core (`daq.acquisition.core`) and carries
-out its orders: it writes to the log, warns the operator and stops the drive.
+out its effects: it writes to the log, warns the operator and stops the drive.
 """
 
 from __future__ import annotations
@@ -11,30 +11,24 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from daq.acquisition.compiled import compile_acquisition
-from daq.acquisition.core import Core, Happened, Keep, Note, Order, StopRotor, Warn, WriteHealth
+from daq.acquisition.core import Core
 from daq.acquisition.edge import Edge, real_edge
+from daq.acquisition.effects import Effect, Happened, Keep, Note, StopRotor, Warn, WriteHealth
 from daq.acquisition.interlock_table import LOOK_S
 from daq.acquisition.life import COMMANDING, Life, Policy, Stage, Step, guarded
 from daq.acquisition.links import Links
-from daq.acquisition.rate_watch import RateWatches
+from daq.acquisition.newest import Channels
+from daq.acquisition.open_devices import OpenDevices
 from daq.acquisition.reader import keep_heap_whole
-from daq.acquisition.recent import Recent
-from daq.acquisition.recorder import DiskState
 from daq.acquisition.rotor_command import RotorCommand
-from daq.acquisition.session_log import SessionLog, keep
-from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, MeasuresRoundTrip, SpeedControl, StatesClockError
+from daq.acquisition.session_log import SessionLog
+from daq.drivers.contract import SpeedControl
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError, DeviceError, LinkLost, OperatorStop
-from daq.items import RX, TX, DeviceEvent, loss_words
+from daq.items import RX, TX, DeviceEvent
 from daq.log.file import ReservedName
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
-from rig_basics.texts import number_of
 from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
@@ -62,7 +56,9 @@ class Session:
     Attributes:
         life: stage of the session.
         rotor: speed source, locks and state of the rotor.
-        devices: links of the devices.
+        channels: newest samples and rates.
+        devices: what is open, and what the devices report of themselves.
+        recording: the log that is recorded, its disk and its losses.
         device_event_observers: called with every event of a device.
         host_event_observers: called with every event of the host and its time, ns.
         health_observers: called with every health report and its time, ns.
@@ -91,9 +87,12 @@ class Session:
         self._notify = notify
         edge = edge or real_edge()
         core = self._core = Core(rig, clock.patience, policy, self.life)
-        self.devices: Links = Links(self._known, clock, edge, core, self.identities, self._on_bytes, self._on_link_lost)
-        self.rotor: RotorCommand = RotorCommand(core, self._known, self.send, clock, self.check)
-        self._log = SessionLog(rig, clock, self.identities, core, edge.disk)
+        self._links = Links(self._known, clock, edge, core, self.identities, self._on_bytes, self._on_link_lost)
+        self.rotor: RotorCommand = RotorCommand(core, self._known, self._links.send, clock, self.check)
+        topics = tuple(channel.topic for device in self._known.values() for channel in device.channels)
+        self.channels: Channels = Channels(core, clock, topics)
+        self.devices: OpenDevices = OpenDevices(self._known, core, self._links, clock)
+        self.recording: SessionLog = SessionLog(rig, clock, self.identities, core, self._links, edge.disk)
         self._ticking: Repeated | None = None
         self._stop_reason: str | None = None  # of a stop that was requested and not yet carried out
 
@@ -106,17 +105,17 @@ class Session:
         try:
             self._open_links()
             self.life.go(Step.START)
-            self.devices.read()
-            self.devices.start_streams()
+            self._links.read()
+            self._links.start_streams()
             for name, identity in self.identities.items():
                 if text := identity.get("warning"):
                     self._execute(self._core.warn(f"{name}: {text}"))
-            if self.rotor.drive_name not in self.devices.refused:
-                with self.devices.refusing(self.rotor.drive_name, DeviceError, LinkLost):
+            if self.rotor.drive_name not in self._links.refused:
+                with self._links.refusing(self.rotor.drive_name, DeviceError, LinkLost):
                     self.rotor.start()
             self._wait_alive("every device to send samples")
             # bytes from the port buffers were delayed and would disturb the clock maps
-            self._log.renew_pipelines(self.devices, None)
+            self.recording.renew_pipelines(None)
             self._wait_alive("every device to continue to send samples")
             self._watch()
         except BaseException as error:
@@ -142,7 +141,7 @@ class Session:
             self._open_links()
             self._watch()
             self.start_recording(path, metadata)
-            self.devices.read()
+            self._links.read()
         except BaseException as error:
             self.close(error)
             raise
@@ -150,9 +149,8 @@ class Session:
 
     def _open_links(self) -> None:
         keep_heap_whole()
-        compile_acquisition()
         self.life.go(Step.OPEN)
-        self.devices.open()
+        self._links.open()
 
     def _watch(self) -> None:
         self.life.go(Step.WATCH)
@@ -188,14 +186,14 @@ class Session:
                 at_rest, self.rotor_warning = self._stop_devices(guarded(left))
         finally:
             try:
-                if self._log.recorder is not None:
+                if self.recording.recorder is not None:
                     ended = self._ended(because) or "session closed"
                     self.stop_recording({"ended": f"{ended}; {self.rotor_warning}" if self.rotor_warning else ended})
             finally:
                 self.life.go(Step.FINISH)
                 if self._ticking is not None:
                     self._ticking.stop()
-                self.devices.close()
+                self._links.close()
         if not at_rest and because is None and not self.policy.lenient:
             raise DeviceError(self.rotor_warning)
 
@@ -219,7 +217,7 @@ class Session:
         name = self.rotor.drive_name
         if name not in self._core.gone:
             return False
-        self._execute(self.devices.reopened(name, self.rotor))
+        self._execute(self._links.reopened(name, self.rotor))
         return name not in self._core.gone
 
     def _stop_devices(self, watched: bool) -> tuple[bool, str]:
@@ -235,60 +233,35 @@ class Session:
         if not self.policy.commands:
             return True, ""
         drive = self.rotor.drive_name
-        if drive in self.devices.refused and not self.rotor.started:
-            self.devices.stop_streams()
+        if drive in self._links.refused and not self.rotor.started:
+            self._links.stop_streams()
             return True, ""
         released = self.rotor.bring_to_rest(self._notify, watched, self._reach_drive)
-        self.devices.stop_streams()
-        at_rest = self.rotor_at_rest()
+        self._links.stop_streams()
+        at_rest = self.rotor.at_rest()
         if released or not watched or (at_rest and not drive):
             return True, ""
         if at_rest:
             text = f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
         else:
-            text = f"{_not_at_rest(at_rest)} ({self.rotor_words()}); keep away from it"
+            text = f"{self.rotor.words()}; keep away from it"
         self._execute(self._core.warn(text))
         return bool(at_rest), text
 
     def _wait_alive(self, what: str) -> None:
         """Wait for samples of every device. The error describes what the other devices sent."""
         try:
-            self.wait_for(lambda: not self._silent(), _MAX_START_S, what)
+            self.wait_for(lambda: not self.devices.without_samples(), _MAX_START_S, what)
         except DeviceError as error:
-            silent = self._silent()
+            silent = {name: self.devices.received_words(name) for name in self.devices.without_samples()}
             if self.trouble is not None or not silent:
                 raise
             if self.policy.lenient:
-                self.devices.refused.update({name: self._received(name) for name in silent})
+                self._links.refused.update(silent)
                 return
-            raise DeviceError(f"{error}: {'; '.join(map(self._received, silent))}") from error
+            raise DeviceError(f"{error}: {'; '.join(silent.values())}") from error
 
-    def _silent(self) -> list[str]:
-        """Return the devices that have not sent a sample."""
-        return [
-            name
-            for name, device in self._known.items()
-            if name not in self.devices.refused
-            and not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
-        ]
-
-    def _received(self, name: str) -> str:
-        """Describe what a device without samples has sent."""
-        bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
-        lost = ", ".join(loss_words(n, kind) for kind, n in losses.items() if n)
-        received = f"{number_of(bytes_in, 'byte')} received, none of them a sample" if bytes_in else "silent"
-        why = self.identification_of(name)[1] or "Look at its power, its settings and the rig file"
-        return f"{name}: {received}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
-
-    # --- bytes, and the orders of the core -----------------------------------------------------------------------
-
-    def send(self, name: str, data: bytes) -> None:
-        """Write to a device immediately, without waiting for log and decoders. The bytes are logged afterwards.
-
-        Raises:
-            LinkLost: the link of the device is lost.
-        """
-        self.devices.send(name, data)
+    # --- bytes, and the effects of the core ----------------------------------------------------------------------
 
     def _on_bytes(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
         """Pass the bytes sent to a device, and then the bytes received from it, to the core."""
@@ -301,8 +274,8 @@ class Session:
         self._execute(self._core.lost(name, error, self.clock.now_ns()))
 
     def _tick(self) -> None:
-        with self._log.changes:
-            recorder = self._log.recorder
+        with self.recording.changes:
+            recorder = self.recording.recorder
             self._execute(
                 self._core.tick(
                     self.clock.now_ns(),
@@ -312,24 +285,23 @@ class Session:
                 )
             )
 
-    def _execute(self, orders: Iterable[Order]) -> None:
-        for order in orders:
-            recorder = self._log.recorder
-            match order:
+    def _execute(self, effects: Iterable[Effect]) -> None:
+        for effect in effects:
+            recorder = self.recording.recorder
+            if recorder is not None and isinstance(effect, Keep | Note | WriteHealth):
+                recorder.add(effect)
+            match effect:
                 case Keep():
-                    if recorder is not None:
-                        keep(recorder, order)
-                    if order.direction == RX:
-                        self.rotor.notice(order.device, self._core.pipelines[order.device])
+                    if effect.direction == RX:
+                        self.rotor.notice(effect.device, self._core.pipelines[effect.device])
                 case Happened(event):
                     self._on_device_event(event)
                 case Note(event, host_ns):
-                    self._note(event, host_ns)
-                case WriteHealth(facts):
-                    if recorder is not None:
-                        recorder.health(facts)
+                    for observe in self.host_event_observers:
+                        observe(event, host_ns)
+                case WriteHealth(facts, host_ns):
                     for reported in self.health_observers:
-                        reported(facts, self.clock.now_ns())
+                        reported(facts, host_ns)
                 case Warn(text):
                     self._notify(text)
                 case StopRotor():
@@ -339,21 +311,11 @@ class Session:
         for observe in self.device_event_observers:
             observe(event)
         if event.kind == "reply":
-            self.devices.answered(event.device, event.text)
+            self._links.answered(event.device, event.text)
         elif event.kind == "acknowledge":
             self.rotor.acknowledged(event)
 
     # --- state ---------------------------------------------------------------------------------------------------
-
-    @property
-    def recent(self) -> Recent:
-        """The newest samples of every channel."""
-        return self._core.recent
-
-    @property
-    def rates(self) -> RateWatches:
-        """Rates of the device clocks."""
-        return self._core.rates
 
     @property
     def trouble(self) -> Exception | None:
@@ -376,11 +338,6 @@ class Session:
         return self._core.policy
 
     @property
-    def unopened(self) -> Mapping[str, str]:
-        """Reasons why devices are not open, by device; only a `lenient` policy permits such devices."""
-        return {**self._core.gone, **self.devices.refused}
-
-    @property
     def drive(self) -> SpeedControl:
         """Speed source of an open session.
 
@@ -391,129 +348,15 @@ class Session:
             raise DeviceError(f"rig {self.rig.name} has no open speed source: its rotor cannot be turned by command")
         return self.rotor.drive
 
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Channels to which the devices send continuously."""
-        return tuple(channel.topic for device in self._known.values() for channel in device.channels)
-
-    @property
-    def bytes_in(self) -> int:
-        """Number of bytes received from all devices."""
-        return sum(self._core.bytes_in.values())
-
-    @property
-    def unheard(self) -> list[str]:
-        """Devices from which no byte was received."""
-        return [name for name, count in self._core.bytes_in.items() if not count]
-
-    @property
-    def silent_s(self) -> float:
-        """Time since any device sent bytes, wall s."""
-        return self.clock.wall_s() - self.devices.heard_s()
-
-    def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
-        """Return the newest samples of a channel.
-
-        Args:
-            topic: of the channel.
-            fields: names of the columns.
-            seconds: length of the stretch, counted back from the newest sample, so that a late read is not a gap.
-
-        Returns:
-            Times, ns, and the columns; empty if the newest sample is older than 20 s.
-        """
-        time_ns, columns = self.recent.last(topic, fields, self.clock.now_ns() - int(_MAX_NEWEST_AGE_S * 1e9))
-        if len(time_ns) == 0:
-            return time_ns, columns
-        new = time_ns > time_ns[-1] - int(seconds * 1e9)
-        return time_ns[new], [column[new] for column in columns]
-
-    def identification_of(self, name: str) -> tuple[bool, str]:
-        """Return whether a device has described itself, and its deviation from the rig file (empty if there is none).
-
-        Devices that never describe themselves return (True, "").
-        """
-        with self.devices.unread(name):
-            pipeline = self._core.pipelines[name]
-            return (pipeline.has_reported, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
-
-    def clock_stds_ns(self) -> dict[str, float]:
-        """Return the stated standard uncertainty of the newest times, ns, by device with a clock."""
-        out: dict[str, float] = {}
-        for name, pipeline in self._core.pipelines.items():
-            with self.devices.unread(name):
-                if isinstance(pipeline, StatesClockError):
-                    out[name] = pipeline.clock_std_ns
-        return out
-
-    def all_identified(self) -> bool:
-        """Return whether every open device has described itself."""
-        gone = self.unopened
-        return all(self.identification_of(name)[0] for name in self._known if name not in gone)
-
-    def own_checks(self, events: Iterable[DeviceEvent]) -> dict[str, Checks]:
-        """Return the checks that the drivers make on their open devices, by device.
-
-        Args:
-            events: of the checked time span.
-        """
-        happened = list(events)
-        return {
-            name: device.driver.checks(
-                device.settings,
-                self._core.pipelines[name],
-                self.rotor.drive if name == self.rotor.drive_name else None,
-                [event for event in happened if event.device == name],
-            )
-            for name, device in self._known.items()
-        }
-
-    def rotor_at_rest(self) -> bool | None:
-        """Return whether the rotor is at rest, from the drive's newest report and the index marks; None if unknown."""
-        return self._core.interlocks.at_rest(self.clock.now_ns())
-
-    def turning(self) -> bool:
-        """Return whether the rotor turns, or its state is unknown."""
-        return self._core.interlocks.turning(self.clock.now_ns())
-
-    def rotor_rpm(self) -> float:
-        """Return the measured speed, rpm: by the index marks if the rig has them, else by the drive; NaN if unknown."""
-        return self._core.interlocks.measured_rpm(self.clock.now_ns())
-
     def host_words(self) -> str:
         """Return a sentence about the host if it was late recently; empty if not."""
         return self._core.host.words(self.clock.now_ns())
 
-    def rotor_words(self) -> str:
-        """Return the state of the rotor's speed for a message."""
-        return self._core.interlocks.rotor_words(self.clock.now_ns())
-
     # --- recording -----------------------------------------------------------------------------------------------
-
-    @property
-    def log(self) -> Path | None:
-        """Path of the newest recording; None before the first."""
-        return self._log.path
-
-    def disk(self) -> DiskState | None:
-        """Return the state of the disk, or None if no log is recorded."""
-        recorder = self._log.recorder
-        return None if recorder is None else recorder.state()
-
-    def losses(self) -> dict[str, dict[str, int]]:
-        """Return the losses of every device since the start of the log, including silences that have not ended."""
-        return self._core.losses(self.clock.now_ns())
 
     def note(self, event: DeviceEvent) -> None:
         """Write an event of the host to the log, if one is recorded, and notify the observers."""
-        self._note(event, self.clock.now_ns())
-
-    def _note(self, event: DeviceEvent, host_ns: int) -> None:
-        recorder = self._log.recorder
-        if recorder is not None:
-            recorder.event(event, host_ns)
-        for notify in self.host_event_observers:
-            notify(event, host_ns)
+        self._execute((Note(event, self.clock.now_ns()),))
 
     def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
         """Begin a log. Every device gets a new pipeline, so that the log alone decodes to the same samples.
@@ -524,16 +367,16 @@ class Session:
             before_s: length of the pre-trigger, s; at most `daq.acquisition.core.PAST_S`. The bytes that were
                 kept of every device pass through the new pipelines first.
         """
-        if self._log.recorder is not None:
+        if self.recording.recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
         self.life.after(Step.RECORD)  # refused before the file is created
-        self._log.begin(self.devices, path, metadata, before_s)
+        self.recording.begin(path, metadata, before_s)
         self.life.go(Step.RECORD)
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         """End the log and return its path. Losses and the reason of the end are written to its summary."""
         self.life.go(Step.END_LOG)
-        return self._log.end(self.devices, lambda: self._ended(None) or "the test's end", summary)
+        return self.recording.end(lambda: self._ended(None) or "the test's end", summary)
 
     # --- waiting and commands ------------------------------------------------------------------------------------
 
@@ -550,7 +393,7 @@ class Session:
         if core.trouble is not None:
             raise core.trouble
         if self.life.guarding:
-            self._execute(self.devices.attend(self.rotor))
+            self._execute(self._links.attend(self.rotor))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition is true.
@@ -570,23 +413,6 @@ class Session:
                 raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
             deadline += self._stalled_s()
 
-    def wait_for_rest(self, wall_s: float) -> None:
-        """Wait until the rotor is at rest.
-
-        Args:
-            wall_s: timeout, wall s.
-
-        Raises:
-            DeviceError: at the timeout the rotor turns, or its state is unknown.
-        """
-        deadline = self.clock.wall_s() + wall_s
-        while not (rest := self.rotor_at_rest()):
-            self.check()
-            if self.clock.wall_s() > deadline:
-                advice = self.host_words() or "Look at drive and rotor"
-                raise DeviceError(f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. {advice}")
-            self.clock.wait(0.003)
-
     def _stalled_s(self) -> float:
         """Wait 3 ms, and return the wall time by which a stalled host exceeded this, s; 0 for a host that is busy.
 
@@ -595,22 +421,6 @@ class Session:
         before_s = self.clock.wall_s()
         self.clock.wait(0.003)
         return max(0.0, self.clock.wall_s() - before_s - _MAX_BUSY_S)
-
-    def need(self, *topics: str) -> None:
-        """Set the channels that the running test needs even at rest. Silence of one of them ends the test."""
-        self._core.interlocks.need(topics)
-
-    def permit_by_hand(self, rpm: float | None) -> None:
-        """Permit that the operator turns the rotor. From then on it is monitored as a driven rotor.
-
-        Args:
-            rpm: the speed; None before the first one.
-
-        Raises:
-            DeviceError: a device that guards the rotor is missing or has failed.
-            ProcedureError: the speed exceeds the limit.
-        """
-        self.rotor.permit(rpm)
 
     def stop(self, reason: str) -> None:
         """End the run for the operator. The drive gets the stop immediately, in the caller's thread."""
@@ -626,30 +436,3 @@ class Session:
     def fail(self, error: Exception) -> None:
         """End the run with an error, and stop the rotor immediately, in the caller's thread."""
         self._execute(self._core.fail(error, self.clock.now_ns()))
-
-    def command_node(self, action: str) -> None:
-        """Send a command for the pendulum locks and wait for its acknowledgement.
-
-        Raises:
-            DeviceError: the command was refused (with the reason) or not acknowledged, or the rig has no such locks.
-        """
-        if self.rotor.locks is None or self.rig.roles.locks is None:
-            raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
-        self._core.interlocks.counters_set()
-        self.rotor.locks.command(action, self.check)
-        self._core.interlocks.counters_set()  # an angle between the two may still be the old one
-
-    def measure_round_trip(self, device: str) -> float | None:
-        """Return the result of `MeasuresRoundTrip`, s; None if a device does not answer or cannot measure it.
-
-        Raises:
-            LinkLost: the connection to the device is lost.
-        """
-        locks = self.rotor.locks
-        if self.rotor.locks_name != device or not isinstance(locks, MeasuresRoundTrip):
-            return None
-        return locks.measure_round_trip()
-
-
-def _not_at_rest(at_rest: bool | None) -> str:
-    return "the state of the rotor is unknown" if at_rest is None else "the rotor still turns"

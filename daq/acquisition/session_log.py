@@ -10,13 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from daq.acquisition.core import Core, Keep
+from daq.acquisition.core import Core
+from daq.acquisition.effects import Note
 from daq.acquisition.links import Links
-from daq.acquisition.recorder import Disk, Recorder
+from daq.acquisition.recorder import Disk, DiskState, Recorder
 from daq.drivers.calibrated import calibrations_of
 from daq.drivers.contract import HasClockSeed, ObservesIdentity
 from daq.drivers.devices import channels_of, make_pipelines
-from daq.items import Batch
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
@@ -32,6 +32,7 @@ class SessionLog:
         clock: the host clock.
         identities: identities of the devices; completed with what the pipelines learn.
         core: core of the acquisition.
+        links: links of the devices.
         disk: opens the disk's file and reports its room.
 
     Attributes:
@@ -41,18 +42,33 @@ class SessionLog:
     """
 
     def __init__(
-        self, rig: Rig, clock: HostClock, identities: dict[str, dict[str, Any]], core: Core, disk: Disk
+        self,
+        rig: Rig,
+        clock: HostClock,
+        identities: dict[str, dict[str, Any]],
+        core: Core,
+        links: Links,
+        disk: Disk,
     ) -> None:
-        self.core: Core = core
         self.recorder: Recorder | None = None
         self.path: Path | None = None
         self.changes: threading.RLock = threading.RLock()
         self._rig, self._clock, self._identities, self._disk = rig, clock, identities, disk
+        self._core, self._links = core, links
         self._channels = tuple(channels_of(rig.devices).values())
 
-    def begin(self, links: Links, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float) -> None:
+    def disk(self) -> DiskState | None:
+        """Return the state of the disk, or None if no log is recorded."""
+        recorder = self.recorder
+        return None if recorder is None else recorder.state()
+
+    def losses(self) -> dict[str, dict[str, int]]:
+        """Return the losses of every device since the start of the log, including silences that have not ended."""
+        return self._core.losses(self._clock.now_ns())
+
+    def begin(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float) -> None:
         """Begin a log; see `daq.acquisition.session.Session.start_recording`. No other log may be open."""
-        self._store_identities(links)
+        self._store_identities()
         facts = {
             "rig": self._rig.name,
             "software": software_version(),
@@ -67,26 +83,26 @@ class SessionLog:
             "identities.json": json.dumps(self._identities).encode(),
             "roles.json": self._rig.roles_json(),
         }
-        seeds = self._seeds(links)
+        seeds = self._seeds()
         if seeds:
             attachments["clocks.json"] = json.dumps(seeds).encode()
         devices = tuple(self._rig.devices)
         self.path = path if isinstance(path, Path) else path.path
         recorder = Recorder(path, self._clock, facts, attachments, devices, self._channels, self._disk)
-        self.renew_pipelines(links, recorder, before_s, seeds)
+        self.renew_pipelines(recorder, before_s, seeds)
 
-    def _store_identities(self, links: Links) -> None:
+    def _store_identities(self) -> None:
         """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
-        for name, pipeline in self.core.pipelines.items():
+        for name, pipeline in self._core.pipelines.items():
             if isinstance(pipeline, ObservesIdentity):
-                with links.unread(name):
+                with self._links.unread(name):
                     self._identities.setdefault(name, {}).update(pipeline.learned)
 
-    def _seeds(self, links: Links) -> dict[str, dict[str, Any]]:
+    def _seeds(self) -> dict[str, dict[str, Any]]:
         """Return the states of the device clocks, so that the clock maps of the next log start with them."""
         seeds: dict[str, dict[str, Any]] = {}
-        for name, pipeline in self.core.pipelines.items():
-            with links.unread(name):
+        for name, pipeline in self._core.pipelines.items():
+            with self._links.unread(name):
                 seed = pipeline.clock_seed if isinstance(pipeline, HasClockSeed) else None
             if seed is not None:
                 seeds[name] = asdict(seed)
@@ -94,7 +110,6 @@ class SessionLog:
 
     def renew_pipelines(
         self,
-        links: Links,
         recorder: Recorder | None,
         before_s: float = 0.0,
         seeds: Mapping[str, Mapping[str, Any]] | None = None,
@@ -102,51 +117,34 @@ class SessionLog:
         """Give every device a new pipeline, at a boundary between two reads.
 
         Args:
-            links: open links of the devices.
             recorder: writer of the log that begins; None without one.
             before_s: length of the pre-trigger, s.
             seeds: states of the device clocks.
         """
         pipelines = make_pipelines(self._rig.devices, self._identities, seeds=seeds)
-        with self.changes, links.between_reads():
+        with self.changes, self._links.between_reads():
             self.recorder = recorder
-            for order in self.core.begin(pipelines, self._clock.now_ns(), before_s):
-                if recorder is None:
-                    continue
-                if isinstance(order, Keep):
-                    keep(recorder, order)
-                else:
-                    recorder.event(order.event, order.host_ns)
+            for past in self._core.begin(pipelines, self._clock.now_ns(), before_s):
+                if recorder is not None:
+                    recorder.add(past)
 
-    def end(self, links: Links, reason: Callable[[], str], summary: Mapping[str, Any]) -> Path:
+    def end(self, reason: Callable[[], str], summary: Mapping[str, Any]) -> Path:
         """End the log and return its path.
 
         Args:
-            links: open links of the devices.
             reason: called after the last events are written; returns the reason of the end.
             summary: further facts for the log's summary, which may replace the reason.
         """
         recorder = self.recorder
         assert recorder is not None
-        with self.changes, links.between_reads():
+        with self.changes, self._links.between_reads():
             now_ns = self._clock.now_ns()
-            for order in self.core.finish(now_ns):
-                keep(recorder, order)
-            facts, events = self.core.end(now_ns)
+            for kept in self._core.finish(now_ns):
+                recorder.add(kept)
+            facts, events = self._core.end(now_ns)
             for event in events:
-                recorder.event(event, now_ns)
+                recorder.add(Note(event, now_ns))
             self.recorder = None
         facts = {**facts, ENDED: reason(), **summary}
-        reasons = [(reason.interlock, reason.text) for reason in self.core.trips.reasons]
+        reasons = [(reason.interlock, reason.text) for reason in self._core.trips.reasons]
         return recorder.close({**facts, **tripping(facts[ENDED], reasons)})
-
-
-def keep(recorder: Recorder, order: Keep) -> None:
-    """Record bytes with their items. After the end of the run the recorder accepts neither."""
-    with recorder.together():
-        if recorder.raw(order.device, order.direction, order.data, order.host_ns):
-            for item in order.items:
-                if isinstance(item, Batch):
-                    recorder.batch(item, order.host_ns)
-                else:
-                    recorder.event(item, order.host_ns)

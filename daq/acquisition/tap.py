@@ -176,7 +176,7 @@ def tap_test(session: Session, prompt: Callable[[str], None], patience_s: float 
 def _newest(session: Session, since_ns: int) -> dict[str, ObservedDisplacement]:
     roles, out = session.rig.roles, dict[str, ObservedDisplacement]()
     for sensor in (*roles.displacements, *roles.witnesses):
-        time_ns, (value,) = session.recent.last(sensor.topic, ("displacement_m",), since_ns)
+        time_ns, (value,) = session.channels.recent.last(sensor.topic, ("displacement_m",), since_ns)
         out[sensor.topic] = ObservedDisplacement.since(since_ns, time_ns, value)
     return out
 

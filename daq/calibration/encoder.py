@@ -85,7 +85,7 @@ def check_senses(session: Session, operator: TurnsPendulums, locks: Locks, notif
     senses: list[int] = []
     for pendulum in (0, 1):
         session.clock.sleep(0.5)
-        begun, columns = session.newest(role.topic, ANGLE_FIELDS, 0.1)
+        begun, columns = session.channels.newest(role.topic, ANGLE_FIELDS, 0.1)
         if not len(begun):
             raise DeviceError(f"{role.device}: no angles arrive. Look at the node and its radio")
         start = np.array([float(column[-1]) for column in columns])
@@ -106,7 +106,7 @@ def check_senses(session: Session, operator: TurnsPendulums, locks: Locks, notif
 
 
 def _moved(session: Session, role: PendulumAngles, start: Array) -> Array:
-    _, columns = session.newest(role.topic, ANGLE_FIELDS, 0.1)
+    _, columns = session.channels.newest(role.topic, ANGLE_FIELDS, 0.1)
     now = np.array([float(column[-1]) if len(column) else math.nan for column in columns])
     return np.nan_to_num(now - start)
 
@@ -124,7 +124,7 @@ def close_repeatedly(
     for number in range(1, count + 1):
         locks.lock()
         session.clock.sleep(_READ_S + 0.2)
-        _, (a, b, flags) = session.newest(role.topic, (*ANGLE_FIELDS, "flags"), _READ_S)
+        _, (a, b, flags) = session.channels.newest(role.topic, (*ANGLE_FIELDS, "flags"), _READ_S)
         places = lock_positions(np.column_stack([a, b]), _closed(flags, session), role.zero_std_deg)
         if len(places) != 2:
             raise DeviceError(f"{role.device}: a lock is reported open after it was closed. Look at the locks")

@@ -118,7 +118,7 @@ def _steady(
         started = session.clock.now_ns()
         session.clock.sleep(seconds)
         session.check()
-        _, (x,) = session.recent.last(settings.topic, ("displacement_m",), started)
+        _, (x,) = session.channels.recent.last(settings.topic, ("displacement_m",), started)
         why = _why_not(x, settings.rate_Hz * seconds)
         if not why:
             return mean_with_std(x[~np.isnan(x)])

@@ -173,7 +173,7 @@ class RigCommands:
         test = self._demands.test
         self._folder.mkdir(parents=True, exist_ok=True)
         facts = {"test": test, "note": self._note, **self._facts}
-        self.session.need(*self._demands.required_at_rest)
+        self.session.channels.need(*self._demands.required_at_rest)
         with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
             path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{test}.mcap"
             self.session.start_recording(path, facts, before_s)
@@ -188,7 +188,7 @@ class RigCommands:
 
         The log contains the last seconds, the error, and the run-down of the rotor. The end of the session finishes it.
         """
-        if self._recording or self.kept is not None or self.session.trouble is None or not self.session.turning():
+        if self._recording or self.kept is not None or self.session.trouble is None or not self.session.rotor.turning():
             return
         try:
             path = self._begin(_PAST_S)
@@ -205,7 +205,7 @@ class RigCommands:
         """
         if not self._recording:
             return
-        if wrong_rates := self.session.rates.summary():
+        if wrong_rates := self.session.channels.rates.summary():
             self.warn(f"wrong rates: {wrong_rates}")
         facts = {**self.facts, **ending(self.missed)}
         if self.warnings:
@@ -231,7 +231,7 @@ class RigCommands:
         """
         self.session.check()
         if self._trusts_angles:
-            _, (flags,) = self.session.newest(self.angles.topic, ("flags",), _FLAGS_S)
+            _, (flags,) = self.session.channels.newest(self.angles.topic, ("flags",), _FLAGS_S)
             if faults := flagged(flags):
                 error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was commanded to stop")
                 self.session.fail(error)  # the reason of the end in the open log
@@ -249,11 +249,11 @@ class RigCommands:
             ProcedureError: the counters are wrong and the test needs the angles.
         """
         device = self.angles.device
-        if complaint := self.session.identification_of(device)[
+        if complaint := self.session.devices.identification_of(device)[
             1
         ]:  # it stopped nothing while the session was being opened
             raise DeviceError(f"{device}: {complaint}")
-        _, (a, b, flags) = self.session.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
+        _, (a, b, flags) = self.session.channels.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]
         trouble = ". ".join(text for text in wrong if text)
         if trouble and self._demands.trusts_angles:

@@ -160,7 +160,7 @@ class DrivenRotor:
     @property
     def speed_rpm(self) -> float:
         """See Rotor. The index marks decide, since a wrong setting of the drive scales command and report alike."""
-        return self._s.rotor_rpm()
+        return self._s.rotor.rpm()
 
     @property
     def reported_rpm(self) -> float:
@@ -188,9 +188,9 @@ class DrivenRotor:
         if not drive.enabled:  # the rotor coasts, for example after a host was killed
             self.begin()
         drive.set_speed(0)
-        self._s.wait_for_rest(_MAX_STOP_S)
+        self._s.rotor.wait_for_rest(_MAX_STOP_S)
         self._s.clock.sleep(0.5)
-        self._s.wait_for_rest(_MAX_STOP_S)
+        self._s.rotor.wait_for_rest(_MAX_STOP_S)
         drive.disable()
 
     def quick_stop(self) -> None:
@@ -216,27 +216,27 @@ class HandRotor:
     @property
     def speed_rpm(self) -> float:
         """See Rotor."""
-        return self._s.rotor_rpm()
+        return self._s.rotor.rpm()
 
     def begin(self) -> str:
         """See Rotor."""
-        self._s.permit_by_hand(None)
+        self._s.rotor.permit(None)
         return ""
 
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
         """See Rotor."""
-        self._s.permit_by_hand(rpm)
+        self._s.rotor.permit(rpm)
         self._operator.turn(rpm, ramp_rpm_per_s)
 
     def stop(self) -> None:
         """See Rotor. A rotor whose state is unknown counts as turning, so that the operator has to stop it."""
-        if not self._s.turning():
-            self._s.permit_by_hand(0.0)
+        if not self._s.rotor.turning():
+            self._s.rotor.permit(0.0)
             return
         self._progress("stop the rotor", None)
         self._operator.turn(0.0, HAND_RAMP_RPM_S)
-        self._s.permit_by_hand(0.0)
-        self._s.wait_for_rest(HUMAN_S)
+        self._s.rotor.permit(0.0)
+        self._s.rotor.wait_for_rest(HUMAN_S)
 
     def quick_stop(self) -> None:
         """See Rotor."""
@@ -251,12 +251,12 @@ class CommandedLocks:
 
     def lock(self) -> None:
         """See Locks."""
-        self._s.command_node("lock both")
+        self._s.rotor.command_locks("lock both")
         self._wait(closed=True)
 
     def release(self, turning: bool) -> int:
         """See Locks."""
-        self._s.command_node("release both")
+        self._s.rotor.command_locks("release both")
         self._wait(closed=False)
         return self._opened_ns()
 
@@ -274,7 +274,7 @@ class CommandedLocks:
         return int(time_ns[min(closed[-1] + 1, len(time_ns) - 1)]) if len(closed) else int(time_ns[0])
 
     def _newest(self, seconds: float) -> tuple[NDArray[np.int64], list[NDArray[Any]]]:
-        return self._s.newest("pendulums", ("flags",), seconds)
+        return self._s.channels.newest("pendulums", ("flags",), seconds)
 
 
 class HandLocks:
@@ -303,17 +303,17 @@ class HandLocks:
             self._operator.release()
             return self._s.clock.now_ns()
         topic = self._angles.topic
-        _, columns = self._s.newest(topic, ANGLE_FIELDS, _HELD_S)
+        _, columns = self._s.channels.newest(topic, ANGLE_FIELDS, _HELD_S)
         held_rad = np.array([np.median(column) for column in columns])
         requested_ns = self._s.clock.now_ns()
         self._operator.release()
 
         def moved() -> bool:
-            _, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
+            _, columns = self._s.channels.recent.last(topic, ANGLE_FIELDS, requested_ns)
             return bool(np.any(np.abs(np.column_stack(columns) - held_rad) > _FREE_RAD))
 
         self._wait_for(moved, HUMAN_S, "the pendulums to be released")
-        time_ns, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
+        time_ns, columns = self._s.channels.recent.last(topic, ANGLE_FIELDS, requested_ns)
         since_s, std_s = release_time((time_ns - requested_ns) * 1e-9, np.abs(np.column_stack(columns) - held_rad))
         released_ns = requested_ns + int(since_s * 1e9)
         for pendulum in (0, 1):
@@ -325,7 +325,7 @@ class HandLocks:
     def _wrong(self) -> str:
         """Return the reason why the pendulums do not count as held; empty if they do."""
         assert self._angles is not None
-        time_ns, columns = self._s.newest(self._angles.topic, ANGLE_FIELDS, _HELD_S)
+        time_ns, columns = self._s.channels.newest(self._angles.topic, ANGLE_FIELDS, _HELD_S)
         if len(time_ns) < _HELD_S * self._angles.rate_Hz / 3:
             return "their angles are missing"
         theta = np.column_stack(columns)

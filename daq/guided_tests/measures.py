@@ -35,11 +35,11 @@ class Measures:
     def angles_described(self) -> bool:
         """Return whether the device of the pendulum angles has described itself; True if the rig has none."""
         role = self._s.rig.roles.angles
-        return role is None or self._s.identification_of(role.device)[0]
+        return role is None or self._s.devices.identification_of(role.device)[0]
 
     def rest_m(self, topic: str, seconds: float) -> float:
         """Return the median of a laser's newest samples, m; NaN without valid samples."""
-        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        _, (x,) = self._s.channels.newest(topic, ("displacement_m",), seconds)
         valid: Array = x[np.isfinite(x)]
         return float(np.median(valid)) if len(valid) else math.nan
 
@@ -47,7 +47,7 @@ class Measures:
         """Return minimum and maximum of a laser's newest samples, m; NaN if over a fifth are missing or invalid."""
         if self.valid(topic, seconds) < 0.8 * seconds:
             return math.nan, math.nan
-        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        _, (x,) = self._s.channels.newest(topic, ("displacement_m",), seconds)
         return float(np.nanmin(x)), float(np.nanmax(x))
 
     def peak_to_peak(self, topic: str, seconds: float) -> float:
@@ -57,18 +57,18 @@ class Measures:
 
     def valid(self, topic: str, seconds: float) -> float:
         """Return the number of valid samples in a laser's newest stretch, expressed in seconds."""
-        _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
+        _, (x,) = self._s.channels.newest(topic, ("displacement_m",), seconds)
         rates = {sensor.topic: sensor.rate_Hz for sensor in self._s.rig.roles.displacements}
         return float(np.count_nonzero(np.isfinite(x))) / rates[topic]
 
     def largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
         """Return the largest distance of a laser's samples since an instant from its reading at rest, m."""
-        _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
+        _, (x,) = self._s.channels.recent.last(topic, ("displacement_m",), since_ns)
         return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
 
     def revolutions_since(self, since_ns: int) -> float:
         """Return the number of whole revolutions of the rotor since an instant, from its index marks."""
-        _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
+        _, (turns,) = self._s.channels.recent.last("tacho", ("revolutions",), since_ns)
         return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
 
     def host_doubt(self) -> str:
@@ -77,12 +77,12 @@ class Measures:
 
     def speed_doubt(self, seconds: float = _COMPARED_S) -> str:
         """Return in words how drive and index marks disagree over the newest stretch; empty if they do not."""
-        found = recent_agreement(self._s.recent, self._s.rig.roles, self.since(seconds))
+        found = recent_agreement(self._s.channels.recent, self._s.rig.roles, self.since(seconds))
         return "" if found is None else found.words
 
     def turned_since(self, since_ns: int) -> tuple[Array, Array]:
         """Return the ranges of the pendulum angles since an instant, rad, and the top speeds, rad/s; shapes (2,)."""
-        time_ns, columns = self._s.recent.last("pendulums", ANGLE_FIELDS, since_ns)
+        time_ns, columns = self._s.channels.recent.last("pendulums", ANGLE_FIELDS, since_ns)
         step = 50
         if len(time_ns) <= step:
             return np.zeros(2), np.full(2, 1e-3)
@@ -92,7 +92,7 @@ class Measures:
 
     def rates(self) -> Array:
         """Return the mean pendulum speeds over the newest 0.2 s, rad/s, shape (2,); NaN without samples."""
-        time_ns, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, 0.2)
+        time_ns, (a, b) = self._s.channels.newest("pendulums", ANGLE_FIELDS, 0.2)
         if len(time_ns) < 10:
             return np.full(2, np.nan)
         turned: Array = np.array([a[-1] - a[0], b[-1] - b[0]], np.float64)
@@ -108,7 +108,7 @@ class Measures:
         Returns:
             Angles, marks and displacements; every fourth sample of the displacements is taken.
         """
-        recent = self._s.recent
+        recent = self._s.channels.recent
         t, (a, b) = recent.last("pendulums", ANGLE_FIELDS, since_ns)
         m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
         tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
@@ -148,7 +148,7 @@ class Measures:
 
     def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
         """Return the mean pendulum angles over the newest stretch, rad."""
-        _, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, seconds)
+        _, (a, b) = self._s.channels.newest("pendulums", ANGLE_FIELDS, seconds)
         means: Array = np.column_stack([a, b]).mean(axis=0)
         return float(means[0]), float(means[1])
 

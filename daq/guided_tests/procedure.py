@@ -120,13 +120,13 @@ def zero_counters(session: Session) -> None:
     Raises:
         DeviceError: a command was refused, a lock does not close, or the rig has no locks that can be commanded.
     """
-    session.command_node("lock both")
+    session.rotor.command_locks("lock both")
 
     def closed() -> bool:
-        _, (flags,) = session.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
+        _, (flags,) = session.channels.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
         return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == LOCKS_CLOSED
 
     session.wait_for(closed, MAX_LOCK_S, "both locks to close")
     session.clock.sleep(_ZEROED_S)
-    session.command_node("zero")
+    session.rotor.command_locks("zero")
     session.clock.sleep(_ZEROED_S)

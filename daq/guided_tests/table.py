@@ -18,11 +18,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-if TYPE_CHECKING:
-    from daq.guided_tests.commands import RigCommands
-    from daq.guided_tests.measures import Measures
+from daq.guided_tests.commands import RigCommands
+from daq.guided_tests.measures import Measures
 
 END, FAULT = "end", "fault"
 """Targets of transitions that end a test: normally, or with an error of the rig."""

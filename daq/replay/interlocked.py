@@ -5,9 +5,9 @@ period is not in a log, except where the session stopped the rotor: there it is 
 only the result of the checks of link, disk and operator, so these rows of the table are not evaluated again.
 
 Without `target_rpm` (the log begins while the rotor turns, unless it is of a point or a run-down; or it only received,
-on a line without orders) the drive's reported speed is used until the next order, and a runaway is not evaluated. The
-part after a hole has unknown orders. A silence may be found one period earlier or later than in the session. In the
-last seconds of an aborted session at rest the devices are being closed.
+on a line without commands) the drive's reported speed is used until the next command, and a runaway is not evaluated.
+The part after a hole has unknown commands. A silence may be found one period earlier or later than in the session. In
+the last seconds of an aborted session at rest the devices are being closed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fields
 from daq.replay.checking import Progress, share_of
-from daq.replay.orders import LoggedOrders, report_hand_orders, standing_order
+from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
 from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
 from daq.replay.stream import pipelines_with
 from daq.transports.host_clock import HostClock
@@ -144,10 +144,10 @@ class _Run:
         self._locks = Interlocks(self._rig.limits, self._roles, self._patience, LeastMotion.of(self._rig), driving=True)
         self._locks.begin(now_ns)
         self._locks.need(needed_at_rest(self._facts.get("test", ""), self._roles))
-        standing = standing_order(self._facts)
+        standing = standing_speed(self._facts)
         if self._roles.speed is None:
-            report_hand_orders(self._locks.commanded, self._facts, self._rig.limits.speed_rpm)
-        self._orders = LoggedOrders(
+            report_hand_speeds(self._locks.commanded, self._facts, self._rig.limits.speed_rpm)
+        self._commanded = LoggedSpeeds(
             self._locks.commanded, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
         )
         self._tick_ns, self._stood = now_ns + self._period_ns, False
@@ -162,13 +162,13 @@ class _Run:
         self.now_ns = max(self.now_ns, arrival.host_ns)
         speed = self._roles.speed
         if arrival.wrote and speed is not None and arrival.device == speed.device:
-            self._orders.sent()
+            self._commanded.sent()
         self._stood = not self._locks.turning(arrival.host_ns)  # the arrival may end the knowledge of the speed
         for item in arrival.items:
             if isinstance(item, Batch):
                 self._note_newest(item)
                 if speed is not None and item.channel.topic == speed.topic:
-                    self._orders.follow(item)
+                    self._commanded.follow(item)
                 self._collect(self._locks.feed(with_all_fields(item), arrival.host_ns), arrival.host_ns)
             elif item.kind not in _IGNORED_EVENTS:
                 self._collect(self._locks.happened(item), arrival.host_ns)
@@ -193,9 +193,9 @@ class _Run:
             )
         if self.arrivals.stored:
             out.append(f"judged by stored samples, without raw bytes to decode: {', '.join(self.arrivals.stored)}")
-        if self._roles.speed is not None and self._orders.rpm is None:
+        if self._roles.speed is not None and self._commanded.rpm is None:
             out.append(
-                "the log contains no order to the drive: its reported speed was used instead, a runaway was not judged"
+                "the log contains no command to the drive: its reported speed was used, a runaway was not judged"
             )
         if self._at_closing:
             out.append("the state of the devices while the session closed them, with the rotor at rest, was not judged")
@@ -231,7 +231,7 @@ class _Run:
                 self._tripped(item, now_ns)
 
     def _tripped(self, stop: Stop, now_ns: int) -> None:
-        if now_ns >= self._closing_ns and self._stood and not self._orders.rpm:
+        if now_ns >= self._closing_ns and self._stood and not self._commanded.rpm:
             self._at_closing += 1
             return
         finding = finding_of(stop.interlock, stop.text)
@@ -254,7 +254,7 @@ class _Run:
                 now_ns,
                 now_ns,
                 None if math.isnan(speed) else speed,
-                self._orders.rpm,
+                self._commanded.rpm,
                 newest,
             )
         )

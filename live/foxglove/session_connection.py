@@ -67,7 +67,7 @@ class FoxgloveConnection(FedProcess):
     def _update(self, session: Session, last: bool) -> Mapping[str, Any]:
         heard_ns = session.clock.now_ns()
         until_ns = heard_ns if last else heard_ns - self._hold_ns
-        rows = self._newest.take(session.recent, heard_ns, None if last else until_ns)
+        rows = self._newest.take(session.channels.recent, heard_ns, None if last else until_ns)
         return {"until_ns": until_ns, "rows": rows, "notes": drained(self._notes)}
 
     def _on_message(self, message: Mapping[str, Any]) -> None:

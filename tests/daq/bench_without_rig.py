@@ -77,7 +77,15 @@ class Bench:
         if self.fails_at == len(self.commands):
             raise DeviceError(f"{text} failed")
 
-    # --- session
+    # --- session and its parts
+    @property
+    def channels(self) -> Bench:
+        return self
+
+    @property
+    def devices(self) -> Bench:
+        return self
+
     def check(self) -> None:
         if self.fault is not None:
             raise self.fault

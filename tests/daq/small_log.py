@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.acquisition.effects import Keep
 from daq.acquisition.recorder import Recorder
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
@@ -61,12 +62,10 @@ def write_small_log(path: Path, falsify: bool = False, **what: Any) -> Path:
     start = 1_700_000_000_000_000_000
     for i, (device, data) in enumerate(device_bytes(**what)):
         host_ns = start + 10_000_000 * (i // 4 + 1)
-        recorder.raw(device, RX, data, host_ns)
-        for item in pipelines[device].feed(RX, data, host_ns):
-            if isinstance(item, Batch):
-                recorder.batch(_falsified(item) if falsify and i == 4 else item, host_ns)
-            else:
-                recorder.event(item, host_ns)
+        items = pipelines[device].feed(RX, data, host_ns)
+        if falsify and i == 4:
+            items = [_falsified(item) if isinstance(item, Batch) else item for item in items]
+        recorder.add(Keep(device, RX, data, tuple(items), host_ns))
     return recorder.close({"losses": {n: p.losses for n, p in pipelines.items()}})
 
 

@@ -36,7 +36,7 @@ def record(rig: str, folder: Path, sensor: str, *settings: str, host: tuple[str,
         session.clock.sleep(0.5)
         settings_of = loaded.devices[sensor]
         assert isinstance(settings_of, DisplacementSettings)
-        _, columns = session.newest(settings_of.topic, ("displacement_m",), 0.3)
+        _, columns = session.channels.newest(settings_of.topic, ("displacement_m",), 0.3)
         mean_m = float(np.mean(np.asarray(columns[0], np.float64)))
         session.stop_recording({})
     return path, 1e3 * mean_m

@@ -122,7 +122,7 @@ def encoders(operator: type[SimulatedOperator], zeroed_elsewhere: bool = False) 
         hand, locks = operator(far), CommandedLocks(session, session.wait_for)
         senses = check_senses(session, hand, locks, lambda text: None)
         if zeroed_elsewhere:
-            session.command_node("zero")
+            session.rotor.command_locks("zero")
         closings = close_repeatedly(session, hand, locks, 4, lambda text: None)
     return judge(closings, senses, 0.05)
 

@@ -409,7 +409,7 @@ def test_a_log_is_decoded_again_with_its_own_file(tmp_path: Path) -> None:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.sleep(1.5)
         session.stop_recording({})
-        losses = session.losses()["lasers"]
+        losses = session.recording.losses()["lasers"]
     (tmp_path / "lasers.dbc").write_text(DBC.replace("(0.0001,0)", "(0.5,0)"))
     for _ in range(2):
         assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []

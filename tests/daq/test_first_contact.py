@@ -41,9 +41,9 @@ def test_the_first_session_with_a_rig_that_was_just_powered_is_as_the_second(rig
             session.drive.enable()
             session.drive.set_speed(60.0)
             sim.clock.sleep(3.0)
-            assert session.rotor_rpm() == pytest.approx(60.0, abs=3.0)
-            assert len(session.recent.last("motor", (), 0)[0]) > 100
-            assert len(session.recent.last("pendulums", (), 0)[0]) > 500
+            assert session.rotor.rpm() == pytest.approx(60.0, abs=3.0)
+            assert len(session.channels.recent.last("motor", (), 0)[0]) > 100
+            assert len(session.channels.recent.last("pendulums", (), 0)[0]) > 500
     first, second = ([e.text for e in events if e.device == device and "boot-up" in e.text] for events in observed)
     assert first
     assert all("had started before the bus was opened" in text for text in first)

@@ -37,11 +37,11 @@ def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_lock
 ) -> None:
     with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet)
-        session.command_node("release both")
+        session.rotor.command_locks("release both")
         session.clock.sleep(0.5)
         virtual_rig.line.ask("flick", pendulum=0, speed_rad_s=9.0)
         session.clock.sleep(3.0)
-        session.command_node("zero")  # A is anywhere now
+        session.rotor.command_locks("zero")  # A is anywhere now
         for test in (lambda: tests.run_up(900.0, 10.0), tests.spin_down, lambda: tests.point("A", 15.0)):
             with pytest.raises(
                 ProcedureError, match=r"pendulum A reads .* zero the counters there.*Nothing was turned"

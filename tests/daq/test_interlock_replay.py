@@ -17,8 +17,8 @@ from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals, Hole, holes_of
+from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
-from daq.replay.orders import LoggedOrders, report_hand_orders, standing_order
 from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
@@ -116,10 +116,10 @@ def test_several_at_once_are_all_named(tmp_path: Path) -> None:
     assert sum("fault of encoder" in trip.text for trip in found.trips) == 2
 
 
-# --- orders --------------------------------------------------------------------------------------------------------
+# --- commands ------------------------------------------------------------------------------------------------------
 
 
-def test_one_who_only_listened_takes_the_drive_s_word_for_its_orders(tmp_path: Path) -> None:
+def test_one_who_only_listened_takes_the_drive_s_word_for_its_commands(tmp_path: Path) -> None:
     found = judged(sound_run(tmp_path / "a.mcap", listened=True), all_trips=True)
     assert found.trips == ()
     assert "a runaway was not judged" in found.notes[-1]
@@ -133,54 +133,54 @@ def motor(rpm: list[float], target: list[float] | None) -> Batch:
     return Batch(MOTOR, np.zeros(n, np.int64), np.zeros(n, np.uint32), columns)
 
 
-def test_orders_are_reported_once_and_in_their_order() -> None:
+def test_commands_are_reported_once_and_in_their_order() -> None:
     speeds: list[float] = []
-    orders = LoggedOrders(speeds.append, whole=True)
-    orders.sent()
-    orders.follow(motor([0, 0], [0, 0]))
-    orders.follow(motor([0, 5, 9, 12], [0, 300, 300, 0]))
-    orders.follow(motor([12, 12], [0, np.nan]))
-    assert (speeds, orders.rpm) == ([0, 300, 0], 0)
+    commands = LoggedSpeeds(speeds.append, whole=True)
+    commands.sent()
+    commands.follow(motor([0, 0], [0, 0]))
+    commands.follow(motor([0, 5, 9, 12], [0, 300, 300, 0]))
+    commands.follow(motor([12, 12], [0, np.nan]))
+    assert (speeds, commands.rpm) == ([0, 300, 0], 0)
 
 
-def test_an_order_that_the_log_does_not_hold_is_the_drive_s_own_word_until_the_next_one() -> None:
+def test_a_command_that_the_log_does_not_hold_is_the_drive_s_own_word_until_the_next_one() -> None:
     speeds: list[float] = []
-    orders = LoggedOrders(speeds.append, whole=True)
-    orders.sent()
-    orders.follow(motor([590, 600], [0, 0]))
-    assert (speeds, orders.rpm) == ([590, 600, 600], None)
-    orders.follow(motor([600], [0]))
-    assert orders.rpm is None
-    orders.follow(motor([600, 601], [0, 700]))
-    assert (speeds[-1], orders.rpm) == (700, 700)
+    commands = LoggedSpeeds(speeds.append, whole=True)
+    commands.sent()
+    commands.follow(motor([590, 600], [0, 0]))
+    assert (speeds, commands.rpm) == ([590, 600, 600], None)
+    commands.follow(motor([600], [0]))
+    assert commands.rpm is None
+    commands.follow(motor([600, 601], [0, 700]))
+    assert (speeds[-1], commands.rpm) == (700, 700)
 
 
-def test_behind_a_hole_a_rotor_at_rest_has_no_order_that_is_known() -> None:
+def test_behind_a_hole_a_rotor_at_rest_has_no_command_that_is_known() -> None:
     speeds: list[float] = []
-    orders = LoggedOrders(speeds.append, whole=False)
-    orders.sent()
-    orders.follow(motor([0], [600]))
-    assert (orders.rpm, speeds) == (None, [0, 0, 0])
-    no_field = LoggedOrders(speeds.append, whole=True)
+    commands = LoggedSpeeds(speeds.append, whole=False)
+    commands.sent()
+    commands.follow(motor([0], [600]))
+    assert (commands.rpm, speeds) == (None, [0, 0, 0])
+    no_field = LoggedSpeeds(speeds.append, whole=True)
     no_field.sent()
     no_field.follow(motor([0], None))
     assert no_field.rpm is None
 
 
-def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
-    assert standing_order({"test": "point-A", "speed_rpm": "143.25"}) == 143.25
-    assert standing_order({"test": "run-down", "top_rpm": "600"}) == 600
+def test_a_test_that_begins_at_a_speed_names_the_command_that_stands() -> None:
+    assert standing_speed({"test": "point-A", "speed_rpm": "143.25"}) == 143.25
+    assert standing_speed({"test": "run-down", "top_rpm": "600"}) == 600
     for facts in (
         {"test": "run-up", "top_rpm": "600"},
         {"test": "point-A", "speed_rpm": "nan"},
         {"test": "point-A"},
         {},
     ):
-        assert standing_order(facts) is None
+        assert standing_speed(facts) is None
     speeds: list[float] = []
-    orders = LoggedOrders(speeds.append, whole=True, standing=600.0)
-    orders.follow(motor([600], [0]))
-    orders.follow(motor([600], [300]))
+    commands = LoggedSpeeds(speeds.append, whole=True, standing=600.0)
+    commands.follow(motor([600], [0]))
+    commands.follow(motor([600], [300]))
     assert speeds == [600, 300]
 
 
@@ -195,9 +195,9 @@ def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
         ({}, []),
     ],
 )
-def test_the_orders_of_a_rotor_turned_by_hand_follow_from_its_test(facts: dict[str, str], speeds: list[float]) -> None:
+def test_the_commands_to_a_rotor_by_hand_follow_from_its_test(facts: dict[str, str], speeds: list[float]) -> None:
     heard: list[float] = []
-    report_hand_orders(heard.append, facts, 1200.0)
+    report_hand_speeds(heard.append, facts, 1200.0)
     assert heard == speeds
 
 
@@ -293,7 +293,7 @@ def test_a_device_s_events_count_where_its_driver_is_not_installed(
         bench.note(DeviceEvent("fault", "drive", "the rotor does not follow"))
         bench.pass_time(1.0)
         path = bench.finish()
-    assert judged(path).trips == ()  # its bytes contain no orders
+    assert judged(path).trips == ()  # its bytes contain no commands
     left = {name: point for name, point in installed().items() if name != "cia402"}
     monkeypatch.setattr(snapshot, "installed", lambda: left)
     assert [trip.interlock for trip in judged(path).trips] == ["fault"]
@@ -316,14 +316,14 @@ def test_a_cut_log_is_judged_as_far_as_it_goes(tmp_path: Path) -> None:
     assert any("the log is cut" in note and "was not judged" in note for note in cut.notes)
 
 
-def with_a_hole(path: Path, seconds: float, order_in_it: bool = False) -> Path:
+def with_a_hole(path: Path, seconds: float, command_in_it: bool = False) -> Path:
     """A rotor at 300 rpm, then a damaged chunk of some seconds, then continued operation."""
     with RecordedBench(path) as bench:
         bench.beat()
         bench.turn(300)
         bench.log.flush()
         start = bench.log.part.stat().st_size
-        if order_in_it:
+        if command_in_it:
             bench.turn(600, seconds=seconds)
         else:
             bench.pass_time(seconds)
@@ -339,9 +339,9 @@ def with_a_hole(path: Path, seconds: float, order_in_it: bool = False) -> Path:
     return made
 
 
-@pytest.mark.parametrize("order_in_it", [False, True])
-def test_a_hole_is_neither_silence_nor_a_runaway(tmp_path: Path, order_in_it: bool) -> None:
-    path = with_a_hole(tmp_path / "a.mcap", 6.0, order_in_it)
+@pytest.mark.parametrize("command_in_it", [False, True])
+def test_a_hole_is_neither_silence_nor_a_runaway(tmp_path: Path, command_in_it: bool) -> None:
+    path = with_a_hole(tmp_path / "a.mcap", 6.0, command_in_it)
     found = judged(path, all_trips=True)
     assert found.trips == ()
     assert any("nothing was judged there" in note for note in found.notes)

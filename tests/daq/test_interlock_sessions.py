@@ -47,12 +47,12 @@ def has_an_emergency(session: Session, far_end: VirtualRigProcess, _: pytest.Mon
 
 
 def falls_silent(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch) -> None:
-    session.send("laser_x", b"OUTPUT NONE\n")
+    session.devices.send("laser_x", b"OUTPUT NONE\n")
     session.wait_for(lambda: bool(session.notices), 8.0, "the silence")
 
 
 def is_lost(session: Session, _: VirtualRigProcess, __: pytest.MonkeyPatch) -> None:
-    session.devices._readers["laser_y"].link.close()
+    session._links._readers["laser_y"].link.close()
     session.wait_for(lambda: bool(session.notices), 8.0, "the loss")
 
 

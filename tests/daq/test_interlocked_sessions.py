@@ -114,7 +114,7 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
         turning(session, 300)
         far_end.line.ask("fail", device="drive", what="restart")
         try:
-            session.wait_for_rest(30.0)
+            session.rotor.wait_for_rest(30.0)
         finally:
             assert math.isnan(session.drive.actual_rpm)
             assert session.drive.state == cia402.UNKNOWN
@@ -203,12 +203,12 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
     with Session(rig, far_end.clock) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
-        recorder = session._log.recorder
+        recorder = session.recording.recorder
         assert recorder is not None
         held, released = threading.Event(), threading.Event()
 
         def hold() -> None:
-            with recorder.together(), session.devices.unread("drive"):
+            with recorder._lock, session._links.unread("drive"):
                 held.set()
                 released.wait(20)
 
@@ -224,7 +224,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         released.set()
         holder.join()
         stopping.join()
-        session.wait_for(lambda: session.rotor_at_rest() is True, 5.0, "rest")
+        session.wait_for(lambda: session.rotor.at_rest() is True, 5.0, "rest")
         path = session.stop_recording({})
     assert not waited
     with open_log(path) as log:

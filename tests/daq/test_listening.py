@@ -37,7 +37,7 @@ def _arrived(session, wires):
     """Bytes that arrived, with what a pty did not take at once sent after."""
     for wire in wires.values():
         wire.send(b"")
-    return session.bytes_in
+    return session.devices.bytes_in
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -75,7 +75,7 @@ def test_the_last_bytes_before_a_cable_is_pulled_are_kept(tmp_path):
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             wires["laser_x"].descriptor()
             wires["laser_x"].send(reads[0])
-            session.wait_for(lambda: session.bytes_in == len(reads[0]), 10, "the first bytes")
+            session.wait_for(lambda: session.devices.bytes_in == len(reads[0]), 10, "the first bytes")
             for data in reads[1:]:  # while the reader rests
                 wires["laser_x"].send(data)
             wires["laser_x"].close()
@@ -95,7 +95,7 @@ def test_a_laser_whose_words_are_stored_is_decoded_by_them(tmp_path):
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             wires["laser_x"].descriptor()
             wires["laser_x"].send(data)
-            session.wait_for(lambda: session.bytes_in == len(data), 10, "the bytes")
+            session.wait_for(lambda: session.devices.bytes_in == len(data), 10, "the bytes")
             path = session.stop_recording({})
         with open_log(path) as log:
             assert log["laser/x"].displacement_m.tolist() == expected.tolist()
@@ -110,7 +110,7 @@ def test_devices_from_which_no_byte_was_received_are_named(tmp_path):
                 wire.descriptor()
             wires["encoder"].send(b"x")
             session.wait_for(lambda: _arrived(session, wires) == 1, 10, "the byte")
-            assert session.unheard == ["laser_x", "laser_y", "drive"]
+            assert session.devices.unheard == ["laser_x", "laser_y", "drive"]
             session.stop_recording({})
 
 
@@ -119,4 +119,4 @@ def test_a_lenient_session_that_only_receives_reports_a_port_that_cannot_be_open
         wires["drive"].close()
         session = Session(rig, HostClock(), policy=Policy(commands=False, lenient=True))
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
-            assert set(session.unopened) == {"drive"}
+            assert set(session.devices.unopened) == {"drive"}

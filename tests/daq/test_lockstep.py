@@ -121,7 +121,7 @@ def test_every_shipped_rig_is_recorded_as_in_real_time(rig: str, tmp_path: Path)
     assert session.notices == []
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
-        for topic in session.topics:
+        for topic in session.channels.topics:
             times = log[topic].time_ns
             assert (times[-1] - times[0]) * 1e-9 == pytest.approx(3.0, abs=0.5), topic
 
@@ -376,8 +376,8 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         session.drive.enable()
         sim.ask("fail", device=drive, what="mute", value=1)
-        stop_streams = session.devices.stop_streams
-        session.devices.stop_streams = lambda: (stopped.append("streams"), stop_streams())
+        stop_streams = session._links.stop_streams
+        session._links.stop_streams = lambda: (stopped.append("streams"), stop_streams())
     assert stopped == ["streams"]
     assert session.rotor_warning == (
         f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"

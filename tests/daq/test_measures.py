@@ -31,7 +31,7 @@ def recorded(signals: RotorSignals) -> Measures:
     add("laser/x", signals.x_time_s, displacement_m=signals.x_m)
     add("laser/y", signals.y_time_s, displacement_m=signals.y_m)
     clock = SimpleNamespace(now_ns=lambda: BEGIN_NS + int(END_S * 1e9))
-    return Measures(cast(Session, SimpleNamespace(recent=recent, clock=clock)))
+    return Measures(cast(Session, SimpleNamespace(channels=SimpleNamespace(recent=recent), clock=clock)))
 
 
 def test_a_look_and_the_analysis_of_the_log_judge_the_same_windows() -> None:

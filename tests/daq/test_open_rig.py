@@ -27,7 +27,7 @@ def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path:
         path = record(session, tmp_path / "run.mcap", 2.0, {"note": "two calls"})
         with pytest.raises(LogError, match="run"):
             record(session, path, 1.0)
-        assert session.rotor_at_rest()
+        assert session.rotor.at_rest()
     with open_log(path) as log:
         laser = log["laser/x"]
         assert log.complete

@@ -143,9 +143,9 @@ def test_the_watch_sees_what_a_test_never_does() -> None:
     rig = load_rig("virtual", settings=["virtual.seed=1", *sim.port_settings()])
     watch, session = Watch(sim, turns=True), Session(rig, sim.clock, edge=sim.edge)
     with session:
-        session.command_node("lock both")
+        session.rotor.command_locks("lock both")
         sim.clock.wait(3.0)
-        session.command_node("release both")
+        session.rotor.command_locks("release both")
         sim.clock.wait(1.0)
         session.drive.enable()
         session.drive.set_ramp(300.0)

@@ -217,7 +217,7 @@ def test_a_session_records_it_and_decodes_its_log_again(tmp_path: Path) -> None:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.sleep(3.0)
         session.stop_recording({})
-        losses = session.losses()["net"]
+        losses = session.recording.losses()["net"]
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
         assert len(log["laser/net"]) == pytest.approx(6000, abs=60)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from daq.acquisition import recorder as recorder_module
+from daq.acquisition.effects import Keep, Note, WriteHealth
 from daq.acquisition.recorder import Recorder
 from daq.channels import LASER_X
 from daq.errors import LogError, RecordingError
@@ -35,13 +36,16 @@ def begin(path):
     return Recorder(path, HostClock(), {"test": "small"}, {"rig.json": b"{}"}, ("laser_x",))
 
 
+def turned(turn, per_turn, host_ns):
+    return Keep("laser_x", RX, bytes([turn % 256]) * 50, (batch(per_turn * turn, per_turn),), host_ns)
+
+
 def feed(recorder, turns, per_turn=40):
     """Run some turns of a reader. Return the number accepted before the recorder required the end of the run."""
     for turn in range(turns):
         host_ns = START + 10_000_000 * (turn + 1)
-        if not recorder.raw("laser_x", RX, bytes([turn % 256]) * 50, host_ns):
+        if not recorder.add(turned(turn, per_turn, host_ns)):
             return turn
-        recorder.batch(batch(per_turn * turn, per_turn), host_ns)
     return turns
 
 
@@ -55,8 +59,8 @@ def check_content(log, turns, per_turn=40):
 def test_all_that_was_taken_is_in_the_file_in_order(tmp_path):
     recorder = begin(tmp_path / "run.mcap")
     feed(recorder, 300)
-    recorder.event(DeviceEvent("gap", "laser_x", "3 samples lost", {"samples": 3}), START)
-    recorder.health({"kind": "health", "losses": {"laser_x": {"samples": 3}}})
+    recorder.add(Note(DeviceEvent("gap", "laser_x", "3 samples lost", {"samples": 3}), START))
+    recorder.add(WriteHealth({"kind": "health", "losses": {"laser_x": {"samples": 3}}}, START))
     path = recorder.close({"losses": {"laser_x": {"samples": 3}}})
     with open_log(path) as log:
         assert log.complete
@@ -97,10 +101,9 @@ def test_a_slow_disk_is_seen_long_before_the_run_has_to_end_and_nothing_taken_is
     slow_at = taken = None
     for turn in range(1, 1000):
         host_ns = START + 10_000_000 * (turn + 1)
-        if not recorder.raw("laser_x", RX, bytes([turn % 256]) * 50, host_ns):
+        if not recorder.add(turned(turn, 40, host_ns)):
             taken = turn
             break
-        recorder.batch(batch(40 * turn, 40), host_ns)
         if slow_at is None and recorder.state().slow:
             slow_at = turn
     assert slow_at is not None
@@ -222,7 +225,7 @@ def test_a_small_disk_that_really_fills(tmp_path):
         dice = np.random.default_rng(1)
         taken = 0
         while recorder.trouble is None and taken < 100_000:
-            recorder.raw("laser_x", RX, dice.bytes(5000), START + taken)
+            recorder.add(Keep("laser_x", RX, dice.bytes(5000), (), START + taken))
             taken += 1
             recorder.look()
         assert "disk is full" in str(recorder.trouble)
@@ -285,19 +288,3 @@ def test_a_folder_that_is_gone_ends_the_run(tmp_path):
     assert recorder.trouble is not None
     with pytest.raises(RecordingError):
         recorder.close({})
-
-
-def test_bytes_and_their_samples_are_written_together(tmp_path):
-    """The writer, whenever it wakes, finds both or neither."""
-    recorder = begin(tmp_path / "run.mcap")
-    with recorder.together():
-        recorder.raw("laser_x", RX, b"\0" * 50, START + 10_000_000)
-        writer = threading.Thread(target=recorder._write_all)
-        writer.start()
-        writer.join(0.2)
-        assert writer.is_alive()  # it waits for the samples
-        recorder.batch(batch(0, 40), START + 10_000_000)
-    writer.join()
-    with open_log(recorder.part) as log:
-        check_content(log, 1)
-    recorder.close({})

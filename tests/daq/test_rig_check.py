@@ -192,7 +192,7 @@ def test_a_drive_that_is_set_up_and_sends_no_reports_is_stopped_at_the_end() -> 
     _fault(far, "drive", "silent reports")
     with session:
         observe(session, 1.0)
-        assert set(session.unopened) == {"drive"}
+        assert set(session.devices.unopened) == {"drive"}
         assert far.far.far_ends["drive"].facts()["watchdog_ms"] > 0
     assert far.far.far_ends["drive"].facts()["watchdog_ms"] == 0
 
@@ -205,8 +205,8 @@ def test_a_device_without_a_port_does_not_stop_the_commands_of_the_others() -> N
     far.cables["laser_x"].cut()
     with session:
         session.clock.wait(5.0)  # longer than a silent line
-        session.command_node("lock both")
-        assert set(session.unopened) == {"laser_x"}
+        session.rotor.command_locks("lock both")
+        assert set(session.devices.unopened) == {"laser_x"}
 
 
 def test_a_drive_that_refuses_its_set_up_is_judged_where_nothing_else_measures_the_rotor() -> None:

@@ -100,15 +100,15 @@ def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(
 
 def test_locking_is_refused_while_the_rotor_turns(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
     with Session(plugged, virtual_rig.clock) as session:
-        session.command_node("release both")
+        session.rotor.command_locks("release both")
         session.drive.enable()
         session.drive.set_speed(120)
         session.wait_for(lambda: session.drive.actual_rpm > 100, 5.0, "the rotor to turn")
         with pytest.raises(DeviceError, match="refused"):
-            session.command_node("lock both")
+            session.rotor.command_locks("lock both")
         session.drive.set_speed(0)
         session.wait_for(lambda: session.drive.actual_rpm == 0, 5.0, "the rotor to stop")
-        session.command_node("lock both")
+        session.rotor.command_locks("lock both")
 
 
 @needs_posix
@@ -255,7 +255,7 @@ def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProce
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        session.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
+        session.devices.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
         with pytest.raises(DeviceError, match="laser/x: silent"):
             session.wait_for(lambda: False, 10.0, "nothing")
     assert virtual_rig.line.ask("state")["speed_rpm"] < 0.5

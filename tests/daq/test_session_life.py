@@ -1,4 +1,4 @@
-"""Life of a session: the transitions of its table, without a device."""
+"""Life of a session: the transitions of its table, and its stages on a simulated rig."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from hypothesis import given, strategies as st
 
 from daq.acquisition.life import LISTENING, TRANSITIONS, Life, Stage, Step, guarded
 from daq.acquisition.session import Session
-from daq.errors import AcquisitionError
+from daq.errors import AcquisitionError, OperatorStop
+from daq.lockstep.rig import LockstepRig
 from daq.transports import HostClock
 from rig_configs import load_rig
 
@@ -58,3 +59,27 @@ def test_the_policy_decides_how_a_session_begins(tmp_path: Path) -> None:
         Session(load_rig("virtual"), HostClock()).listen(tmp_path / "a.mcap", {})
     with pytest.raises(ValueError, match="begins with `listen`"):
         Session(load_rig("virtual"), HostClock(), policy=LISTENING).open()
+
+
+def test_a_session_watches_records_and_closes(tmp_path: Path) -> None:
+    far = LockstepRig(load_rig("virtual"))
+    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    stages = [session.life.stage]
+    with session:
+        stages.append(session.life.stage)
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        stages.append(session.life.stage)
+        session.stop_recording({})
+        stages.append(session.life.stage)
+    stages.append(session.life.stage)
+    assert stages == [Stage.NEW, Stage.WATCHING, Stage.RECORDING, Stage.WATCHING, Stage.CLOSED]
+
+
+def test_a_requested_stop_is_carried_out_by_the_next_check() -> None:
+    far = LockstepRig(load_rig("virtual"))
+    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    with pytest.raises(OperatorStop, match="enough"), session:  # noqa: PT012
+        session.request_stop("enough")
+        assert session.trouble is None
+        session.check()
+    assert session.closed

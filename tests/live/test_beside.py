@@ -128,7 +128,7 @@ def test_a_dead_page_costs_the_recorder_nothing(tmp_path: Path) -> None:
                 os.kill(page._process.pid, signal.SIGSTOP)
             folder = tmp_path / str(dead)
             done = Procedures(session, SimulatedOperator(sim), folder, lambda text, share: None).run("spin-down")
-            losses = session.losses()
+            losses = session.recording.losses()
             if dead:
                 os.kill(page._process.pid, signal.SIGCONT)
         with open_log(done.log) as log:
@@ -151,7 +151,7 @@ def test_a_page_that_was_killed_does_not_end_the_session(
         assert not page._feeding.is_alive(), "the feed ends with its page"
         assert any("the session continues" in text for text in caplog.messages)
         session.check()
-        session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
+        session.wait_for(lambda: len(session.channels.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGSTOP")

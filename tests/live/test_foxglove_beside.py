@@ -122,7 +122,7 @@ def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: Virt
         connection._feeding.join(WAIT_S)
         assert not connection._feeding.is_alive(), "the feed ends with its process"
         session.check()
-        session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
+        session.wait_for(lambda: len(session.channels.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
 
 def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:

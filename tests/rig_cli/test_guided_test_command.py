@@ -242,7 +242,7 @@ def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
     with Session(plugged, virtual_rig.clock) as session:
         tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, progress, controls=controls)
         done = tests.run_up(900.0, 20.0)
-        assert session.rotor_at_rest() is True
+        assert session.rotor.at_rest() is True
         assert virtual_rig.line.ask("state")["speed_rpm"] < 1
     assert (done.aborted, done.missed) == (True, "aborted by the operator in 'ramp': it hums too much")
     assert 0.2 < seen[0]["speed"] < 0.7
@@ -345,7 +345,8 @@ def test_a_stop_by_ctrl_c_states_rotor_and_log(
 ) -> None:
     def stopped() -> None:
         with guided_test.stop_stated() as opened:
-            opened.append(cast("Session", SimpleNamespace(log=log, rotor_warning=warning)))
+            recording = SimpleNamespace(path=log)
+            opened.append(cast("Session", SimpleNamespace(recording=recording, rotor_warning=warning)))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from daq.acquisition.effects import Note
 from daq.acquisition.recorder import Recorder
 from daq.items import DeviceEvent
 from daq.log import open_log
@@ -45,7 +46,7 @@ def log(folder: Path) -> Path:
 @pytest.mark.parametrize("text", ["note \udcff", "\ud83d", "a\ud800\udc00b"])
 def test_no_text_that_cannot_be_stored_ends_a_recording(text: str, tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", HostClock(), {"test": "record", "note": text}, {}, ())
-    recorder.event(DeviceEvent("note", "host", text, {"time_ns": 1}), 1)
+    recorder.add(Note(DeviceEvent("note", "host", text, {"time_ns": 1}), 1))
     with open_log(recorder.close({"ended": text})) as opened:
         (event,) = opened.events
         found = [opened.metadata["run"]["note"], event["text"], json.loads(opened.metadata["summary"]["ended"])]

@@ -4,14 +4,14 @@ A session reports every speed to its interlocks before it sends it to the drive.
 field `target_rpm` of the speed source's channel. Its pipeline decodes them from the bytes sent to the device, or from
 those on the bus if the session only received. Four cases need additional rules:
 
-- A log of a point or a run-down begins at a speed, and contains it among its facts. This is the valid order.
-- Any other log that begins while the rotor turns, and the part of a log after a hole, do not contain the valid order.
-  Until the next order the drive's reported speed is used instead. A runaway is not judged during this time, everything
-  else is. An order of 0 cannot be distinguished from a missing one before the first order of a log; a drive that slows
-  down to rest is always allowed.
-- A log of a session that only received on a line without orders is such a log from its beginning to its end.
-- A rotor driven by hand follows spoken instructions. A speed counts as ordered from the log's beginning if the test
-  turns the rotor, and a stop counts as ordered if the test is a run-down.
+- A log of a point or a run-down begins at a speed, and contains it among its facts. This is the valid command.
+- Any other log that begins while the rotor turns, and the part of a log after a hole, do not contain the valid command.
+  Until the next one the drive's reported speed is used instead. A runaway is not judged during this time, everything
+  else is. A commanded 0 cannot be distinguished from a missing command before the first one of a log; a drive that
+  slows down to rest is always allowed.
+- A log of a session that only received on a line without commands is such a log from its beginning to its end.
+- A rotor driven by hand follows spoken instructions. A speed counts as commanded from the log's beginning if the test
+  turns the rotor, and a stop counts as commanded if the test is a run-down.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from rig_configs.roles import AT_REST_RPM
 _FIELD = "target_rpm"
 
 
-class LoggedOrders:
-    """Follows the orders of a log.
+class LoggedSpeeds:
+    """Follows the commands of a log.
 
     Args:
         notify: called with every speed, rpm, before the following samples are judged (`Interlocks.commanded`).
-        whole: True if nothing is missing before: a device at rest that is sent bytes has no unseen order.
-        standing: order that was valid before the log began, rpm; None if unknown.
+        whole: True if nothing is missing before: a device at rest that is sent bytes has no unseen command.
+        standing: command that was valid before the log began, rpm; None if unknown.
         rest_rpm: largest reported speed of a rotor at rest, rpm.
 
     Attributes:
-        rpm: last ordered speed, rpm; None while it is unknown.
+        rpm: last commanded speed, rpm; None while it is unknown.
     """
 
     def __init__(
@@ -50,44 +50,44 @@ class LoggedOrders:
         rest_rpm: float = AT_REST_RPM,
     ) -> None:
         self._notify, self._whole, self._rest_rpm = notify, whole, rest_rpm
-        self._sent = self._ordered = False
+        self._sent = self._changed = False
         self._stood = True
         self._first: float | None = None
         self.rpm: float | None = None
         if standing is not None:
-            self._report_order(standing)
+            self._report(standing)
 
     def sent(self) -> None:
-        """Note that bytes were sent to the speed source, so its orders are in the log."""
+        """Note that bytes were sent to the speed source, so its commands are in the log."""
         self._sent = True
 
     def follow(self, batch: Batch) -> None:
-        """Report the orders in the speed source's samples; call it before the samples are judged."""
+        """Report the commands in the speed source's samples; call it before the samples are judged."""
         speeds: NDArray[np.float64] = batch.columns["speed_rpm"]
         targets: NDArray[np.float64] = batch.columns.get(_FIELD, np.full(len(speeds), np.nan))
         for target in _changes(targets):
             if self._first is None:
                 self._first = target
-            self._ordered = self._ordered or target != self._first
-            if self._ordered:
-                self._report_order(target)
+            self._changed = self._changed or target != self._first
+            if self._changed:
+                self._report(target)
         if self.rpm is not None:
             return
         self._stood = self._stood and bool(np.all(np.abs(speeds) <= self._rest_rpm))
         if self._whole and self._sent and self._stood and self._first is not None:
-            self._report_order(self._first)
+            self._report(self._first)
             return
         for rpm in (float(speeds.min()), float(speeds.max()), float(speeds[-1])):
             self._notify(rpm if abs(rpm) > self._rest_rpm else 0.0)
 
-    def _report_order(self, rpm: float) -> None:
+    def _report(self, rpm: float) -> None:
         if rpm != self.rpm:
             self.rpm = rpm
             self._notify(rpm)
 
 
-def standing_order(run: Mapping[str, str]) -> float | None:
-    """Return the order that was valid before a log began, rpm: of a test that begins at a speed; None for any other.
+def standing_speed(run: Mapping[str, str]) -> float | None:
+    """Return the command that was valid before a log began, rpm: of a test that begins at a speed; None for any other.
 
     Args:
         run: facts of the log.
@@ -97,11 +97,11 @@ def standing_order(run: Mapping[str, str]) -> float | None:
     return _number(run.get(fact))
 
 
-def report_hand_orders(notify: Callable[[float], None], run: Mapping[str, str], limit_rpm: float) -> None:
-    """Report the orders in a log whose rotor is turned by hand.
+def report_hand_speeds(notify: Callable[[float], None], run: Mapping[str, str], limit_rpm: float) -> None:
+    """Report the commands in a log whose rotor is turned by hand.
 
     Args:
-        notify: see daq.guided_tests.orders.RigOrders.
+        notify: see LoggedSpeeds.
         run: facts of the log: its test, and the speed if it has one.
         limit_rpm: used for a speed that is not in the log; only its presence matters.
     """
