@@ -22,7 +22,7 @@ import can
 import numpy as np
 from mcap.writer import Writer
 
-from benchmarks.can_frames import drive_frames, slcan_reads
+from benchmarks.can_frames import drive_frames, raw_reads
 from benchmarks.laser_samples import RATE_HZ, START_NS, laser_reads
 from daq import channels
 from daq.acquisition.interlocks import Interlocks
@@ -48,7 +48,7 @@ def reads_of(seconds: float) -> Reads:
     found: Reads = []
     for seed, name in enumerate(("laser_x", "laser_y"), 1):
         found += [(host_ns, name, data) for data, host_ns in laser_reads(round(seconds * RATE_HZ), seed)]
-    found += [(host_ns, "drive", text) for host_ns, _, text in slcan_reads(drive_frames(round(1000 * seconds)))]
+    found += [(host_ns, "drive", text) for host_ns, _, text in raw_reads(drive_frames(round(1000 * seconds)))]
     return sorted(found, key=lambda read: read[0])
 
 
@@ -133,7 +133,7 @@ def _laser(data: bytes) -> tuple[dict[str, np.ndarray], bytes]:
 
 
 def _motor(data: bytes) -> tuple[dict[str, np.ndarray], bytes]:
-    """Status reports in slcan text, as python-can messages."""
+    """Status reports, as python-can messages."""
     *lines, rest = data.split(b"\r")
     messages = [
         can.Message(arbitration_id=int(line[1:4], 16), data=bytes.fromhex(line[5:].decode()), is_extended_id=False)

@@ -21,7 +21,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.items import RX, Batch
 from daq.mcap.writer import BlockWriter
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 
 PERIOD_NS = 1_000_000  # 1 kHz
@@ -31,26 +31,23 @@ FRAME = channels.Channel(
 )
 _sync = getattr(os, "fdatasync", os.fsync)
 
-Reads = list[tuple[int, list[slcan.CanFrame], bytes]]
+Reads = list[tuple[int, list[CanFrame], bytes]]
 
 
-def drive_frames(count: int) -> list[slcan.CanFrame]:
+def drive_frames(count: int) -> list[CanFrame]:
     """Status and speed of a drive that holds its speed but for noise."""
     node = load_rig("virtual").devices["drive"].node_id
     speeds = np.rint(600 + 2 * np.random.default_rng(1).standard_normal(count)).astype(int)
-    return [slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
+    return [CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
 
 
-def slcan_reads(frames: list[slcan.CanFrame]) -> Reads:
-    """Host time, frames and slcan text of reads of `PER_READ` frames."""
+def raw_reads(frames: list[CanFrame]) -> Reads:
+    """Host time, frames and records of reads of `PER_READ` frames."""
     groups = [frames[first : first + PER_READ] for first in range(0, len(frames), PER_READ)]
-    return [
-        (START_NS + PERIOD_NS * PER_READ * number, group, b"".join(map(slcan.encode, group)))
-        for number, group in enumerate(groups)
-    ]
+    return [(START_NS + PERIOD_NS * PER_READ * number, group, encode(*group)) for number, group in enumerate(groups)]
 
 
-def python_can_messages(frames: list[slcan.CanFrame]) -> list[can.Message]:
+def python_can_messages(frames: list[CanFrame]) -> list[can.Message]:
     """The same as python-can has them."""
     return [
         can.Message((START_NS + PERIOD_NS * number) / 1e9, frame.arbitration_id, is_extended_id=False, data=frame.data)
@@ -78,7 +75,7 @@ def _sample_channel(writer: BlockWriter, channel: channels.Channel) -> int:
 
 
 def write_raw(path: Path, reads: Reads) -> None:
-    """The text of each read."""
+    """The records of each read."""
 
     def fill(writer: BlockWriter) -> None:
         raw = _raw_channel(writer)
@@ -124,8 +121,8 @@ def write_messages(path: Path, reads: Reads) -> None:
 
 
 OURS: dict[str, Callable[[Path, Reads], None]] = {
-    "raw slcan text + decoded": write_raw_and_decoded,
-    "raw slcan text": write_raw,
+    "raw records + decoded": write_raw_and_decoded,
+    "raw records": write_raw,
     "one message per frame": write_messages,
 }
 

@@ -210,7 +210,7 @@ def frame_cases(quick: bool) -> list[Case]:
     """Writing CAN frames."""
     count = 10_000 if quick else 50_000
     frames = can_frames.drive_frames(count)
-    reads, messages = can_frames.slcan_reads(frames), can_frames.python_can_messages(frames)
+    reads, messages = can_frames.raw_reads(frames), can_frames.python_can_messages(frames)
     cases = [
         Case("write frames", f"ours, {name}", count, lambda path, f=function: f(path, reads))
         for name, function in can_frames.OURS.items()

@@ -36,8 +36,10 @@ from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.dbc.stream import CanPipeline
 from daq.items import RX, Batch, joined
 from daq.log.file import LogFile
+from daq.transports.can_frames import decode as decode_records
 from daq.transports.host_clock import HostClock
 from daq.transports.link import open_link
+from daq.transports.slcan import HostText
 
 _FLUSH_NS = 50_000_000
 _WRITE_BYTES = 4096
@@ -136,12 +138,12 @@ def drive() -> Pipeline:
 
 
 def ours(path: Path, size: int, make: Callable[[], Pipeline]) -> Callable[[str, Callable[[], None]], Result]:
-    """Return the recording of a port, which ends after all `size` bytes of the text."""
+    """Return the recording of a port, which ends after `size` frames."""
 
     def receive(port: str, ready: Callable[[], None]) -> Result:
         clock, pipeline = HostClock(), make()
         done, arrived = threading.Event(), list[tuple[Batch, int]]()
-        state = {"frames": 0, "bytes": 0, "flush": 0, "began": 0.0, "cpu": 0.0, "ended": 0.0, "errors": 0}
+        state = {"frames": 0, "received": 0, "flush": 0, "began": 0.0, "cpu": 0.0, "ended": 0.0, "errors": 0}
 
         def write_out() -> None:
             by_topic: dict[str, list[tuple[Batch, int]]] = {}
@@ -162,8 +164,8 @@ def ours(path: Path, size: int, make: Callable[[], Pipeline]) -> Callable[[str, 
             if host_ns - state["flush"] > _FLUSH_NS:
                 state["flush"] = host_ns
                 write_out()
-            state["bytes"] += len(data)
-            if state["bytes"] >= size:
+            state["received"] += int(decode_records(data).is_of_bus.sum())
+            if state["received"] >= size:
                 decode(b"", host_ns)  # the end of the log
                 done.set()
 
@@ -179,7 +181,7 @@ def ours(path: Path, size: int, make: Callable[[], Pipeline]) -> Callable[[str, 
             print(f"failed: {error}")
             done.set()
 
-        link = open_link(port, 115_200)
+        link = open_link(port, 115_200, 1_000_000)
         with LogFile(path, {}, {}, ("bus",), clock.now_ns()) as log:
             reader = DeviceReader("bus", link, clock)
             reader.start(take, failed)
@@ -229,11 +231,11 @@ def main() -> None:
         path = Path(folder) / "log.mcap"
         warm, _ = text_of(displaced(2000), 100)
         for make in (displacements, drive):
-            make().feed(RX, warm, 0)
+            make().feed(RX, HostText().received(warm), 0)
         for _ in range(arguments.repeats):
-            found["displacements"].append(_on_pty(text, ours(path, len(text), displacements)))
+            found["displacements"].append(_on_pty(text, ours(path, arguments.frames, displacements)))
             path.unlink()
-            found["drive"].append(_on_pty(drive_text, ours(path, len(drive_text), drive)))
+            found["drive"].append(_on_pty(drive_text, ours(path, arguments.frames, drive)))
             path.unlink()
             found["python-can"].append(_on_pty(short, lambda port, ready: peer(port, ready, arguments.peer_frames)))
     whole = {"displacements": (arguments.frames, bad), "drive": (arguments.frames // 2, bad)}

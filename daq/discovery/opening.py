@@ -55,7 +55,8 @@ def open_port(line: DeviceLine) -> Link:
     for program in programs_with(line.port):
         raise PortNotOpened("in use", f"open in another program ({program}); it is not disturbed")
     try:
-        return open_link(line.port, line.baud, line.bitrate, line.parity)
+        bitrate = line.bitrate if line.port.startswith("can:") else None  # a serial port may be no adapter's: as it is
+        return open_link(line.port, line.baud, bitrate, line.parity)
     except LinkLost as error:
         raise _reason(line.port, error) from error
 

@@ -17,6 +17,7 @@ from daq.drivers.identification import LOSSES_OF_READINGS, FoundDevice, Recognis
 from daq.drivers.registry import driver
 from daq.errors import DeviceError
 from daq.items import RX, Batch
+from daq.transports.slcan import HostText
 from rig_configs.device import DeviceSettings
 from rig_configs.drivers import installed
 
@@ -139,6 +140,9 @@ def _one_per_protocol(trials: Iterable[Trial]) -> list[Trial]:
 
 def evidence_of(trial: Trial, reads: Reads) -> Evidence | None:
     """Decode received bytes by a trial; None if the driver does not recognise or decode them."""
+    if trial.line.bitrate is not None and not trial.line.port.startswith("can:"):
+        text = HostText()
+        reads = [(records, host_ns) for data, host_ns in reads if (records := text.received(data))]
     found = FoundDevice()
     if isinstance(trial.driver, RecognisesBytes):
         recognised = trial.driver.recognise(trial.settings, b"".join(data for data, _ in reads))

@@ -13,6 +13,7 @@ from daq.errors import LinkLost, LogError
 from daq.log import Log
 from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
+from daq.transports.slcan import AdapterText
 from daq.transports.wires import KINDS, make_wire
 from rig_basics.texts import number_of
 
@@ -49,10 +50,15 @@ class Outlet(Protocol):
 
 
 class LinkOutlet:
-    """An existing port to write to. It cannot detect whether a program reads at its far end."""
+    """An existing port to write to. It cannot detect whether a program reads at its far end.
 
-    def __init__(self, link: Link) -> None:
-        self._link = link
+    Args:
+        link: the open port.
+        text: text of the CAN adapter that is played on it, if the records of a bus are.
+    """
+
+    def __init__(self, link: Link, text: AdapterText | None = None) -> None:
+        self._link, self._text = link, text
         self.port: str = link.name
         self._open = True
 
@@ -60,7 +66,7 @@ class LinkOutlet:
         """See Outlet. A full port blocks until the timeout of its link, then the link is lost."""
         piece = data[:_PIECE_BYTES]
         try:
-            self._link.write(piece)
+            self._link.write(piece if self._text is None else self._text.sent(piece))
         except LinkLost:
             self._open = False
             raise
@@ -69,7 +75,12 @@ class LinkOutlet:
     def receive(self) -> bytes:
         """See Outlet."""
         try:
-            return self._link.read(0.0) if self._open else b""
+            data = self._link.read(0.0) if self._open else b""
+            if self._text is None or not data:
+                return data
+            records, answers = self._text.received(data)
+            self._link.write(answers)
+            return records
         except LinkLost as error:
             _log.info("%s: the port is lost: %s", self.port, error)
             self._open = False
@@ -104,14 +115,15 @@ def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
     if not log.devices:
         raise LogError(f"{log.path}: contains no raw bytes (it was not recorded from devices): nothing to play")
     if to in KINDS:
-        return _new_ports(log.devices, to)
-    ports = _named_ports(log, to)
-    lines = _lines(log)
+        return _new_ports(_lines(log), to)
+    ports, lines = _named_ports(log, to), _lines(log)
     outlets: dict[str, Outlet] = {}
     try:
         for device, port in ports.items():
             line = lines[device]
-            outlets[device] = LinkOutlet(open_link(port, line.baud, line.bitrate, line.parity, line.stop_bits))
+            is_text = line.bitrate is not None and not port.startswith("can:")
+            link = open_link(port, line.baud, None if is_text else line.bitrate, line.parity, line.stop_bits)
+            outlets[device] = LinkOutlet(link, AdapterText() if is_text else None)
     except BaseException:
         for outlet in outlets.values():
             outlet.close()
@@ -119,15 +131,15 @@ def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
     return outlets
 
 
-def _new_ports(devices: tuple[str, ...], kind: str) -> dict[str, Outlet]:
+def _new_ports(lines: Mapping[str, DeviceLine], kind: str) -> dict[str, Outlet]:
     outlets: dict[str, Outlet] = {}
     try:
-        for device in devices:
-            outlets[device] = make_wire(kind, notice_host=True)
+        for device, line in lines.items():
+            outlets[device] = make_wire(kind, notice_host=True, adapter=line.bitrate is not None)
     except OSError as fault:
         for outlet in outlets.values():
             outlet.close()
-        needed = number_of(len(devices), f"{kind} port")
+        needed = number_of(len(lines), f"{kind} port")
         raise LinkLost(f"expected {needed}, one cannot be made: {fault}") from fault
     return outlets
 

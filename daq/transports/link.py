@@ -16,7 +16,7 @@ import can
 import serial
 
 from daq.errors import LinkLost
-from daq.transports import slcan
+from daq.transports import can_frames, slcan
 from daq.transports.terminals import terminal_of
 from rig_basics.ignoring import ignoring
 
@@ -28,6 +28,7 @@ _log = logging.getLogger(__name__)
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _TTY_BYTES = 4096  # most that one read of a serial port or pty returns
 _FULL_BYTES = 2048  # a read of this size is followed by another one: more may have arrived
+_MOST_FRAMES = 1000  # of one read: a busy bus must not keep the reader
 _MOST_FOREIGN = 16  # senders that are reported
 _DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
 _RESERVED_PORTS = 1024  # numbers below it need a permission
@@ -69,13 +70,15 @@ class Link(Protocol):
 def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N", stop_bits: int = 1) -> Link:
     """Open the link that a rig file names.
 
+    A link to a CAN bus carries the records of `daq.transports.can_frames`.
+
     Args:
         port: serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", "udp://address:port" of this host
             for a device that sends datagrams to it ("?from=ADDRESS" at the end: from this address alone), any other
             URL that pyserial supports, or "can:INTERFACE:CHANNEL" for an adapter that python-can supports
             ("can:socketcan:can0").
         baud: line rate of a serial port, baud.
-        bitrate: bit rate of the CAN bus for "can:" ports, bit/s.
+        bitrate: bit rate of a CAN bus, bit/s: a port other than "can:" is then the line of an slcan adapter.
         parity: parity of a serial port: "N", "E" or "O".
         stop_bits: stop bits of a serial port: 1 or 2.
 
@@ -91,14 +94,8 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         if port.startswith("can:"):
             _, interface, channel = port.split(":", 2)
             return CanLink(interface, channel, bitrate or 500_000)
-        if port.startswith("socket://"):
-            host, _, number = port.removeprefix("socket://").rpartition(":")
-            return SocketLink(host, int(number))
-        if port.startswith("udp://"):
-            place, _, sender = port.removeprefix("udp://").partition("?from=")
-            host, _, number = place.rpartition(":")
-            return DatagramLink(host, int(number), sender)
-        return SerialLink(port, baud, parity, stop_bits)
+        line = _line(port, baud, parity, stop_bits)
+        return line if bitrate is None else SlcanLink(line)
     except (OSError, ValueError, OverflowError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
             raise LinkLost(
@@ -113,6 +110,17 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
             f"{port}: cannot be opened ({error}). Is the device plugged in, the port's name right, "
             "and no other program using it?"
         ) from error
+
+
+def _line(port: str, baud: int, parity: str, stop_bits: int) -> Link:
+    if port.startswith("socket://"):
+        host, _, number = port.removeprefix("socket://").rpartition(":")
+        return SocketLink(host, int(number))
+    if port.startswith("udp://"):
+        place, _, sender = port.removeprefix("udp://").partition("?from=")
+        host, _, number = place.rpartition(":")
+        return DatagramLink(host, int(number), sender)
+    return SerialLink(port, baud, parity, stop_bits)
 
 
 def _check_parity(port: Any) -> None:
@@ -337,40 +345,28 @@ class DatagramLink:
 
 
 class CanLink:
-    """Any CAN adapter that python-can supports. Its bytes are slcan text, so all layers above handle one CAN format."""
+    """Any CAN adapter that python-can supports, as records of `can_frames`."""
 
     def __init__(self, interface: str, channel: str, bitrate: int) -> None:
         self.name: str = f"can:{interface}:{channel}"
         self._bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
-        self._decoder = slcan.LineDecoder()
+        self._decoder = can_frames.FrameDecoder()
         self._lock = threading.Lock()
 
     def read(self, timeout_s: float) -> bytes:
         """See Link."""
-        lines: list[bytes] = []
+        records: list[bytes] = []
         try:
             message = self._bus.recv(timeout_s)
-            while message is not None and len(lines) < 1000:
-                if message.is_error_frame:  # a report of the adapter, not a frame of the bus
-                    message = self._bus.recv(0)
-                    continue
-                lines.append(
-                    slcan.encode(
-                        slcan.CanFrame(
-                            message.arbitration_id,
-                            bytes(message.data),
-                            message.is_extended_id,
-                            message.is_remote_frame,
-                        )
-                    )
-                )
+            while message is not None and len(records) < _MOST_FRAMES:
+                records.append(_record(message))
                 message = self._bus.recv(0)
         except (can.CanError, OSError, ValueError) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error})") from error
-        return b"".join(lines)
+        return b"".join(records)
 
     def write(self, data: bytes) -> None:
-        """See Link. Lines that are not frames (adapter set-up) are dropped: python-can sets up the adapter."""
+        """See Link. Messages to the adapter are dropped: python-can sets it up."""
         with self._lock:
             try:
                 for frame in self._decoder.feed(data).frames:
@@ -388,3 +384,34 @@ class CanLink:
     def close(self) -> None:
         """See Link."""
         self._bus.shutdown()
+
+
+def _record(message: can.Message) -> bytes:
+    time_ns = round(message.timestamp * 1e9)
+    if message.is_error_frame:  # a report of the adapter, not a frame of the bus
+        return can_frames.error_frame(message.arbitration_id, bytes(message.data), time_ns)
+    data = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
+    return can_frames.encode(
+        can_frames.CanFrame(message.arbitration_id, data, message.is_extended_id, message.is_remote_frame, time_ns)
+    )
+
+
+class SlcanLink:
+    """A CAN adapter that speaks slcan text on another link, as records of `can_frames`."""
+
+    def __init__(self, line: Link) -> None:
+        self.name: str = line.name
+        self._line, self._text, self._lock = line, slcan.HostText(), threading.Lock()
+
+    def read(self, timeout_s: float) -> bytes:
+        """See Link. Text without a frame ends the wait."""
+        return self._text.received(self._line.read(timeout_s))
+
+    def write(self, data: bytes) -> None:
+        """See Link."""
+        with self._lock:
+            self._line.write(self._text.sent(data))
+
+    def close(self) -> None:
+        """See Link."""
+        self._line.close()

@@ -1,54 +1,29 @@
-"""LAWICEL text (slcan): the representation of CAN frames at the byte seam, independent of the adapter.
+"""LAWICEL text (slcan), the line of CAN adapters with a serial port: to the records of `can_frames`, and back.
 
     tIIILDD…   11-bit identifier     TIIIIIIIILDD…   29-bit identifier     r…, R…   remote request, no data
 
 Every line ends with CR. A single BEL (0x07) is the adapter's negative acknowledgement. Four hex digits of adapter time
-may follow the data; they are ignored. Source: LAWICEL CAN232 manual.
+may follow the data; they are ignored. `HostText` is the host's end of the line, `AdapterText` the adapter's. Source:
+LAWICEL CAN232 manual.
 """
 
 import re
+from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rig_basics.texts import number_of
+from daq.transports.can_frames import AdapterMessage, CanFrame, FrameDecoder, adapter_message, encode as record_of
 
 LINE_LIMIT_BYTES = 64
 BEL = "\a"
+BIT_RATES = {125_000: "S4", 250_000: "S5", 500_000: "S6", 1_000_000: "S8"}
+"""Bit rates of a bus, bit/s, with the adapter's command."""
 _FRAME = re.compile(
     rb"(?:t([0-9A-Fa-f]{3})|T([0-9A-Fa-f]{8})|r([0-9A-Fa-f]{3})|R([0-9A-Fa-f]{8}))([0-8])([0-9A-Fa-f]*)"
 )
 _ANSWER = re.compile(rb"[zZ]?|F[0-9A-Fa-f]{2}|[Vv][0-9A-Za-z.]{4}|N(?:[0-9A-Za-z]{4}){1,2}")
 _ORDER = re.compile(rb"|[CLOAPEFVvN]|S[0-8]|s[0-9A-Fa-f]{4,6}|[mM][0-9A-Fa-f]{8}|[XZQUW][0-9]")
 _LINE_END = re.compile(rb"[\r\x07]")
-_LONGEST_FRAME = 30  # characters: letter, identifier of 8 digits, length, 16 digits of data, 4 of time
-_MANY_BYTES = 1000
-_FEW_BYTES = 200  # of a read: fewer are decoded faster line by line
-_WEIGHTS = np.uint32(16) ** np.arange(7, -1, -1, dtype=np.uint32)
-_PLACES = np.arange(1, _LONGEST_FRAME)
-_NOT_HEX = 0xFF
-_HEX_VALUE = np.full(256, _NOT_HEX, np.uint8)
-_HEX_VALUE[np.frombuffer(b"0123456789ABCDEF", np.uint8)] = np.arange(16)
-_HEX_VALUE[np.frombuffer(b"abcdef", np.uint8)] = np.arange(10, 16)
-
-
-@dataclass(frozen=True)
-class CanFrame:
-    """One classic CAN frame.
-
-    Attributes:
-        arbitration_id: identifier of 11 bits, or of 29 bits if `extended`.
-        data: 0 … 8 bytes; for a remote request as many zeros as bytes are requested.
-        extended: whether the identifier has 29 bits.
-        remote: whether the frame is a request for data.
-    """
-
-    arbitration_id: int
-    data: bytes = b""
-    extended: bool = False
-    remote: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,62 +42,13 @@ class DecodedLines:
     damaged: int
 
 
-@dataclass(frozen=True)
-class FrameBlock:
-    """Result of one call of `LineDecoder.feed_block`: the content of a DecodedLines with the frames as arrays.
-
-    Attributes:
-        arbitration_id: identifiers in order of arrival, shape (n,).
-        extended, remote: see CanFrame; shape (n,).
-        length: number of data bytes, shape (n,).
-        data: bytes of each frame, followed by zeros, shape (n, 8).
-        other_lines, damaged: see DecodedLines.
-    """
-
-    arbitration_id: NDArray[np.uint32]
-    extended: NDArray[np.bool_]
-    remote: NDArray[np.bool_]
-    length: NDArray[np.uint8]
-    data: NDArray[np.uint8]
-    other_lines: list[str]
-    damaged: int
-
-    def __len__(self) -> int:
-        return len(self.arbitration_id)
-
-    def frames(self) -> list[CanFrame]:
-        """Return the frames as objects."""
-        whole = np.ascontiguousarray(self.data).tobytes()
-        columns = (self.arbitration_id, self.length, self.extended, self.remote)
-        rows = zip(range(0, len(whole), 8), *(column.tolist() for column in columns), strict=True)
-        return [
-            CanFrame(identifier, whole[at : at + length], extended, remote)
-            for at, identifier, length, extended, remote in rows
-        ]
-
-
 def encode(frame: CanFrame) -> bytes:
-    """Encode a frame as a line, including its CR.
-
-    Raises:
-        ValueError: the identifier or the data do not fit a classic CAN frame.
-    """
-    digits, limit = (8, 0x1FFFFFFF) if frame.extended else (3, 0x7FF)
-    if not 0 <= frame.arbitration_id <= limit or len(frame.data) > 8:
-        raise ValueError(
-            f"expected an identifier up to {limit:#x} and up to 8 bytes, "
-            f"got {frame.arbitration_id:#x} and {number_of(len(frame.data), 'byte')}"
-        )
-    letter = "r" if frame.remote else "t"
-    letter = letter.upper() if frame.extended else letter
+    """Encode a frame as a line, including its CR."""
+    letter, digits = ("r" if frame.remote else "t"), 3
+    if frame.extended:
+        letter, digits = letter.upper(), 8
     data = "" if frame.remote else frame.data.hex().upper()
     return f"{letter}{frame.arbitration_id:0{digits}X}{len(frame.data)}{data}\r".encode()
-
-
-def first_line_end(data: bytes) -> int:
-    """Return the number of bytes of the first line including its end; 0 if the line is incomplete."""
-    end = _LINE_END.search(data)
-    return end.end() if end else 0
 
 
 class LineDecoder:
@@ -165,46 +91,6 @@ class LineDecoder:
             self._overlong = False
         self._extend(data[position:])
         return DecodedLines(frames, other, damaged)
-
-    def feed_block(self, data: bytes) -> FrameBlock:
-        """Decode the next bytes to arrays: `feed`, several times faster for reads of many frames."""
-        if len(data) < _FEW_BYTES:
-            found = self.feed(data)
-            return _Rows.frames(found.frames).block(found.other_lines, found.damaged)
-        other: list[str] = []
-        damaged = 0
-        if self._overlong:
-            end = first_line_end(data) or len(data)
-            begun = self.feed(data[:end])
-            other, damaged, data = begun.other_lines, begun.damaged, data[end:]
-        if self._line and not self._overlong:  # the first line began in an earlier read
-            data = bytes(self._line) + data
-            self._line.clear()
-        characters = np.frombuffer(data + bytes(_LONGEST_FRAME), np.uint8)
-        ends = np.flatnonzero((characters == ord("\r")) | (characters == ord(BEL)))
-        starts = np.concatenate([[0], ends + 1])
-        starts, rest = starts[:-1], data[int(starts[-1]) :]
-        starts = starts + (characters[starts] == ord("\n")) * (starts < ends)
-        rows = _Rows.of(characters, starts, ends - starts)
-        bells = characters[ends] == ord(BEL)
-        for i in np.flatnonzero(~rows.is_frame | bells).tolist():
-            line = data[starts[i] : ends[i]].lstrip(b"\n")
-            if not rows.is_frame[i] and (line or not bells[i]):
-                scalar: list[CanFrame] = []
-                damaged += len(line) > LINE_LIMIT_BYTES or _take(line, self._words, scalar, other)
-                if scalar:
-                    rows.put(i, scalar[0])
-            if bells[i]:
-                other.append(BEL)
-        self._extend(rest)
-        return rows.block(other, damaged)
-
-    def feed_any(self, data: bytes) -> DecodedLines:
-        """Decode the next bytes: `feed`, faster for long reads."""
-        if len(data) < _MANY_BYTES:
-            return self.feed(data)
-        block = self.feed_block(data)
-        return DecodedLines(block.frames(), block.other_lines, block.damaged)
 
     def _plain_lines(self, data: bytes) -> DecodedLines:
         """Decode lines that end with CR when no line is incomplete: the usual case, without BEL and LF."""
@@ -256,96 +142,80 @@ def _read(line: bytes, words: re.Pattern[bytes]) -> CanFrame | str | None:
     return CanFrame(arbitration_id, data, is_extended, remote)
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Frames in lines, one row for each line; rows of other lines are not `is_frame`."""
+class HostText:
+    """The host's end of an adapter's line.
 
-    arbitration_id: NDArray[np.uint32]
-    extended: NDArray[np.bool_]
-    remote: NDArray[np.bool_]
-    length: NDArray[np.uint8]
-    data: NDArray[np.uint8]
-    is_frame: NDArray[np.bool_]
+    The first line may be cut at its beginning, so that its damage is not counted. The adapter's answers come in the
+    order of the commands: BEL in answer to none refuses a frame.
+    """
 
-    @classmethod
-    def of(cls, characters: NDArray[np.uint8], starts: NDArray[np.intp], lengths: NDArray[np.intp]) -> "_Rows":
-        """Read all lines that are frames.
+    def __init__(self) -> None:
+        self._records, self._lines = FrameDecoder(), LineDecoder()
+        self._joined = False
+        self._pending = deque[str]()  # commands to the adapter itself, not answered yet
 
-        Args:
-            characters: text, followed by at least `_LONGEST_FRAME` further bytes.
-            starts, lengths: first character and number of characters of each line, shape (n,).
-        """
-        count = len(starts)
-        rows = cls(
-            np.zeros(count, np.uint32),
-            np.zeros(count, np.bool_),
-            np.zeros(count, np.bool_),
-            np.zeros(count, np.uint8),
-            np.zeros((count, 8), np.uint8),
-            np.zeros(count, np.bool_),
-        )
-        letters = characters[starts]
-        for letter, digits, remote in (("t", 3, False), ("T", 8, False), ("r", 3, True), ("R", 8, True)):
-            there = np.flatnonzero((letters == ord(letter)) & (lengths > digits + 1))
-            if len(there):
-                rows._read(there, characters, starts[there], lengths[there], digits, remote)
-        return rows
+    def sent(self, data: bytes) -> bytes:
+        """Return the text for records of the host."""
+        out: list[bytes] = []
+        for message in self._records.feed(data).messages():
+            if isinstance(message, CanFrame):
+                out.append(encode(message))
+                continue
+            kind, number = message
+            orders = ["", "C", BIT_RATES[number], "O"] if kind is AdapterMessage.OPEN else ["C"]
+            self._pending += orders
+            out += [f"{order}\r".encode() for order in orders]
+        return b"".join(out)
 
-    @classmethod
-    def frames(cls, frames: list[CanFrame]) -> "_Rows":
-        """Return a row for each frame."""
-        if not frames:
-            return _NO_ROWS
-        rows = cls.of(np.zeros(len(frames), np.uint8), np.arange(len(frames)), np.zeros(len(frames), np.intp))
-        for row, frame in enumerate(frames):
-            rows.put(row, frame)
-        return rows
+    def received(self, text: bytes) -> bytes:
+        """Return the records for text of the adapter."""
+        joins = not self._joined and _LINE_END.search(text)
+        cut = joins.end() if joins else 0
+        self._joined = self._joined or cut > 0
+        first, rest = self._lines.feed(text[:cut]), self._lines.feed(text[cut:])
+        frames, other = first.frames + rest.frames, first.other_lines + rest.other_lines
+        out = self._answered(other)
+        if frames:
+            self._pending.clear()  # the bus is open
+        if rest.damaged:
+            out += adapter_message(AdapterMessage.DAMAGED, rest.damaged)
+        return out + record_of(*frames)
 
-    def _read(
-        self,
-        there: NDArray[np.intp],
-        characters: NDArray[np.uint8],
-        starts: NDArray[np.intp],
-        lengths: NDArray[np.intp],
-        digits: int,
-        remote: bool,
-    ) -> None:
-        """Read the lines `there`, which have the same letter."""
-        width = min(_LONGEST_FRAME, int(lengths.max())) - 1
-        value = _HEX_VALUE[characters[starts[:, None] + _PLACES[:width]]]
-        behind = _PLACES[:width] >= lengths[:, None]
-        right = ((value != _NOT_HEX) | behind).all(axis=1) & (lengths <= _LONGEST_FRAME)
-        size = value[:, digits].astype(np.intp)
-        spare = lengths - digits - 2 - (0 if remote else 2 * size)
-        identifier = value[:, :digits].astype(np.uint32) @ _WEIGHTS[-digits:]
-        right &= (size <= 8) & ((spare == 0) | (spare == 4)) & (identifier <= (0x7FF if digits == 3 else 0x1FFFFFFF))
-        nibbles = np.zeros((len(there), 16), np.uint8)
-        found = value[:, digits + 1 : digits + 17]
-        nibbles[:, : found.shape[1]] = found
-        data = nibbles[:, ::2] << 4 | nibbles[:, 1::2]
-        data[np.arange(8) >= (0 if remote else 1) * size[:, None]] = 0
-        at = there[right]
-        self.arbitration_id[at], self.length[at], self.data[at] = identifier[right], size[right], data[right]
-        self.extended[at], self.remote[at], self.is_frame[at] = digits == 8, remote, True
-
-    def put(self, row: int, frame: CanFrame) -> None:
-        """Set one row."""
-        self.arbitration_id[row], self.extended[row] = frame.arbitration_id, frame.extended
-        self.remote[row], self.length[row], self.is_frame[row] = frame.remote, len(frame.data), True
-        self.data[row, : len(frame.data)] = np.frombuffer(frame.data, np.uint8)
-
-    def block(self, other: list[str], damaged: int) -> FrameBlock:
-        """Return the frames."""
-        own = slice(None) if self.is_frame.all() else self.is_frame
-        return FrameBlock(
-            self.arbitration_id[own],
-            self.extended[own],
-            self.remote[own],
-            self.length[own],
-            self.data[own],
-            other,
-            damaged,
-        )
+    def _answered(self, lines: list[str]) -> bytes:
+        out, refused = b"", 0
+        for line in lines:
+            if line in ("", BEL):
+                refused += line == BEL and not self._pending
+                if (self._pending.popleft() if self._pending else "") == "O":
+                    out += adapter_message(AdapterMessage.OPEN_REFUSED if line == BEL else AdapterMessage.OPENED)
+            elif line in ("z", "Z"):  # a frame was sent: earlier commands to the adapter are not pending any more
+                self._pending.clear()
+        return out + (adapter_message(AdapterMessage.REFUSED, refused) if refused else b"")
 
 
-_NO_ROWS = _Rows.of(np.zeros(0, np.uint8), np.zeros(0, np.intp), np.zeros(0, np.intp))
+class AdapterText:
+    """The adapter's end of its line."""
+
+    def __init__(self) -> None:
+        self._records, self._lines = FrameDecoder(), LineDecoder(of_host=True)
+        self._bitrate = 0
+
+    def received(self, text: bytes) -> tuple[bytes, bytes]:
+        """Return the records for text of the host, and the adapter's answers as text."""
+        found = self._lines.feed(text)
+        answers, out = BEL.encode() * found.damaged, b""
+        for line in found.other_lines:
+            if line[:1] == "S":
+                self._bitrate = next((rate for rate, order in BIT_RATES.items() if order == line), 0)
+            if line[:1] in {"O", "C"}:
+                kind = AdapterMessage.OPEN if line[0] == "O" else AdapterMessage.CLOSE
+                out += adapter_message(kind, self._bitrate if line[0] == "O" else 0)
+            answers += {"V": b"V1013\r", "N": b"N4F1C\r"}.get(line[:1], b"\r")
+        for frame in found.frames:
+            answers += b"Z\r" if frame.extended else b"z\r"
+        return out + record_of(*found.frames), answers
+
+    def sent(self, data: bytes) -> bytes:
+        """Return the text for records of the bus; damaged records are a damaged line."""
+        found = self._records.feed(data)
+        return b"?\r" * found.damaged + b"".join(map(encode, found.frames))

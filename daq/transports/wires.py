@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.errors import LinkLost
+from daq.transports.slcan import AdapterText
 from rig_basics.ignoring import ignoring
 
 if sys.platform != "win32":
@@ -39,7 +40,14 @@ class Wire(Protocol):
     """One end of a cable."""
 
     port: str
-    overrun_bytes: int
+
+    @property
+    def overrun_bytes(self) -> int:
+        """Bytes that the host did not fetch in time, so far."""
+        ...
+
+    @overrun_bytes.setter
+    def overrun_bytes(self, value: int) -> None: ...
 
     def descriptor(self) -> int | None:
         """Return the file descriptor to wait on for incoming bytes; None if no host is connected."""
@@ -317,12 +325,68 @@ class TcpWire(_Outbox):
         self._listener.close()
 
 
-def make_wire(kind: str, notice_host: bool = False) -> Wire:
+class AdapterWire:
+    """A wire to a simulated CAN adapter: slcan text on the wire, records of `can_frames` for its bus."""
+
+    def __init__(self, wire: Wire) -> None:
+        self._wire, self._text = wire, AdapterText()
+        self.port: str = wire.port
+        self._offered = b""  # text of the offered records that is not sent yet
+
+    @property
+    def overrun_bytes(self) -> int:
+        """See Wire; of the text."""
+        return self._wire.overrun_bytes
+
+    @overrun_bytes.setter
+    def overrun_bytes(self, value: int) -> None:
+        self._wire.overrun_bytes = value
+
+    def descriptor(self) -> int | None:
+        """See Wire."""
+        return self._wire.descriptor()
+
+    def receive(self) -> bytes:
+        """See Wire. The adapter answers at once."""
+        records, answers = self._text.received(self._wire.receive())
+        if answers:
+            self._wire.send(answers)
+        return records
+
+    def send(self, data: bytes) -> None:
+        """See Wire."""
+        self._wire.send(self._text.sent(data))
+
+    def offer(self, data: bytes) -> int:
+        """See Wire. The records count as sent when all of their text is; they are offered again until then."""
+        self._offered = self._offered or self._text.sent(data)
+        self._offered = self._offered[self._wire.offer(self._offered) :] if self._offered else b""
+        return 0 if self._offered else len(data)
+
+    def held_up(self) -> bool:
+        """See Wire."""
+        return self._wire.held_up()
+
+    def connected(self) -> bool:
+        """See Wire."""
+        return self._wire.connected()
+
+    def pull(self) -> None:
+        """See Wire."""
+        self._wire.pull()
+
+    def close(self) -> None:
+        """See Wire."""
+        self._wire.close()
+
+
+def make_wire(kind: str, notice_host: bool = False, *, adapter: bool = False) -> Wire:
     """Make a wire.
 
     Args:
         kind: "pty", "tcp", or "auto" (a pty if the system has them).
         notice_host: see PtyWire; a TCP port always follows its host.
+        adapter: whether it is the line of a CAN adapter.
 
     Raises:
         OSError: "pty" on a system without ptys.
@@ -330,4 +394,5 @@ def make_wire(kind: str, notice_host: bool = False) -> Wire:
     has_pty = sys.platform != "win32"
     if kind == "pty" and not has_pty:
         raise OSError('ptys need Linux or macOS; use "tcp" on this system')
-    return PtyWire(notice_host) if kind in ("pty", "auto") and has_pty else TcpWire()
+    wire = PtyWire(notice_host) if kind in ("pty", "auto") and has_pty else TcpWire()
+    return AdapterWire(wire) if adapter else wire

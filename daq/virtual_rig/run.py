@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from daq.drivers.devices import devices_of
 from daq.transports.host_clock import HostClock
 from daq.transports.paced_clock import PacedClock
 from daq.transports.wires import Wire, make_wire
@@ -51,12 +52,16 @@ class VirtualRig:
         self._t0_ns = self._clock.now_ns()
         self.rig: SimulatedRig = SimulatedRig(rig, self._clock.patience)
         self.rig.motion.advance(0.001)  # compile before the first connection
-        self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.rig.far_ends}
+        self._lines = {name: device.line for name, device in devices_of(rig.devices).items()}
+        self.wires: dict[str, Wire] = {name: self._wire(name) for name in self.rig.far_ends}
         self._pulled: set[str] = set()
         self.token: str = secrets.token_urlsafe(16)
         self.control: ControlServer = ControlServer(self.token)
         self.moved: Callable[[], object] = lambda: None
         self._running = True
+
+    def _wire(self, device: str) -> Wire:
+        return make_wire(self._link, adapter=self._lines[device].bitrate is not None)
 
     @property
     def zero_ns(self) -> int:
@@ -158,7 +163,7 @@ class VirtualRig:
         if device not in self._pulled:
             raise ValueError(f"{device} is plugged in, at {self.wires[device].port}")
         self.wires[device].close()
-        wire = make_wire(self._link)
+        wire = self._wire(device)
         wire.overrun_bytes = self.wires[device].overrun_bytes
         self.wires[device] = wire
         self._pulled.discard(device)

@@ -12,6 +12,7 @@ from daq.drivers.contract import DeviceLine, Driver, example_of
 from daq.drivers.registry import driver
 from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
+from daq.transports.slcan import AdapterText
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_configs import load_rig
@@ -67,6 +68,8 @@ class Cable:
         self.far = far(World(virtual, self.motion))
         self.clock = HandClock()
         self.port, self.line = port, line
+        bus = line is not None and line.bitrate is not None and not port.startswith("can:")
+        self.text: AdapterText | None = AdapterText() if bus else None
         self.lines: list[DeviceLine] = []
         self.written: list[bytes] = []
         self.rng = np.random.default_rng(3)
@@ -103,13 +106,19 @@ class CableLink:
     closed: bool = field(default=False)
 
     def read(self, timeout_s: float) -> bytes:
-        data, self.waiting = self.waiting + self.cable.advance(timeout_s), b""
+        data, self.waiting = self.waiting + self._text_of(self.cable.advance(timeout_s)), b""
         return data if self.fits else self.cable.rng.bytes(len(data))
 
     def write(self, data: bytes) -> None:
         self.cable.written.append(data)
         heard = data if self.fits else self.cable.rng.bytes(len(data))
-        self.waiting += self.cable.far.receive(heard, self.cable.motion.time_s)
+        if self.cable.text is not None:
+            heard, answers = self.cable.text.received(heard)
+            self.waiting += answers
+        self.waiting += self._text_of(self.cable.far.receive(heard, self.cable.motion.time_s))
+
+    def _text_of(self, data: bytes) -> bytes:
+        return data if self.cable.text is None else self.cable.text.sent(data)
 
     def close(self) -> None:
         assert not self.closed

@@ -10,7 +10,7 @@ from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
 from daq.drivers.rotorlink.far_end import SimulatedNode
 from daq.items import RX, Batch, DeviceEvent
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode, open_bus
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
 
@@ -41,7 +41,9 @@ class Bench:
         self.stops: list[tuple[float, Stop]] = []
         self.events: list[DeviceEvent] = []
         self.muted: set[str] = set()
-        self.drive.receive(b"O\r", 0.0)  # the adapter was opened before: its answer and the boot-up message are old
+        self.drive.receive(
+            open_bus(500_000), 0.0
+        )  # the adapter was opened before: its answer and the boot-up message are old
         for laser in ("laser_x", "laser_y"):
             self.far.far_ends[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n", 0.0)
         self.drive._objects[cia301.PRODUCER_HEARTBEAT, 0] = (100, "<H")
@@ -89,7 +91,7 @@ class Bench:
                 self.stops.append((self.now_s, item))
 
     def _to_drive(self, identifier: int, data: bytes) -> None:
-        self._hear("drive", self.drive.receive(slcan.encode(slcan.CanFrame(identifier, data)), self.now_s))
+        self._hear("drive", self.drive.receive(encode(CanFrame(identifier, data)), self.now_s))
 
     def turn(self, rpm: int, seconds: float | None = None) -> None:
         """Enable the drive, ramp to a speed and wait until it is there."""

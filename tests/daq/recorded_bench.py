@@ -8,7 +8,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.devices import make_pipelines
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 from tests.daq.far_ends import START_NS, Bench
 
@@ -48,7 +48,7 @@ class RecordedBench(Bench):
         super()._hear(name, data)
 
     def _to_drive(self, identifier: int, data: bytes) -> None:
-        self._keep("drive", TX, slcan.encode(slcan.CanFrame(identifier, data)))
+        self._keep("drive", TX, encode(CanFrame(identifier, data)))
         super()._to_drive(identifier, data)
 
     def _keep(self, name: str, direction: int, data: bytes) -> None:
@@ -64,7 +64,7 @@ class RecordedBench(Bench):
 
     def beat(self) -> None:
         """The host's heartbeat: an open session sends bytes to its drive continuously."""
-        self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia301.cob_heartbeat(1), b"\x05")))
+        self._keep("drive", TX, encode(CanFrame(cia301.cob_heartbeat(1), b"\x05")))
 
     def note(self, event: DeviceEvent) -> None:
         """Write the stop and the summary of a session."""

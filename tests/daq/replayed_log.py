@@ -18,9 +18,10 @@ from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from daq.version import DECODER
 from rig_configs import load_rig
+from tests.daq.can_text import tx
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
@@ -69,7 +70,7 @@ class _Node:
 
 
 def _frame(identifier: int, data: bytes) -> bytes:
-    return slcan.encode(slcan.CanFrame(identifier, data))
+    return encode(CanFrame(identifier, data))
 
 
 def reads(
@@ -90,7 +91,7 @@ def reads(
     rng = np.random.default_rng(seed)
     kept: dict[str, bytes] = {}
     node = _Node(marks_turn=rests_from is not None)
-    yield "drive", TX, b"\rC\rS6\rO\r", START_NS
+    yield "drive", TX, tx(b"\rC\rS6\rO\r"), START_NS
     for step in range(steps):
         host_ns = START_NS + (step + 1) * STEP_NS
         if step % 7 == 3:
@@ -104,12 +105,11 @@ def reads(
             )
         rpm = 60 + step % 1000 if rests_from is None else max(0, 1059 * (rests_from - step) // rests_from)
         status = _frame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, rpm))
-        acknowledge = b"z\r" if step % 7 == 3 else b""
         came = {
             "laser_x": _laser(rng, step, set(), restarts_at),
             "laser_y": _laser(rng, step, set(lost), None),
             "encoder": node.bytes_of(step, rpm),
-            "drive": acknowledge + status,
+            "drive": status,
         }
         for i, (device, new) in enumerate(came.items()):
             data = kept.get(device, b"") + new

@@ -15,7 +15,8 @@ from daq.drivers.devices import make_pipelines
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, Batch
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 
 
@@ -39,12 +40,12 @@ def device_bytes(
         for pendulum in reported if step == opened_at else ():
             event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
             events, seq = events + rotorlink.wire(event.pack()), seq + 1
-        frame = slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
+        frame = CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
         reads += [
             ("laser_x", optoncdt.encode_block(words)),
             ("laser_y", optoncdt.encode_block(words)),
             ("encoder", rotorlink.wire(block.pack()) + rotorlink.wire(mark.pack()) + events),
-            ("drive", slcan.encode(frame)),
+            ("drive", encode(frame)),
         ]
     return reads
 

@@ -14,7 +14,9 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NmtState, SdoServer
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402.drive_objects import drive_objects
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, decode
+from daq.transports.slcan import AdapterText
 
 
 class Wire:
@@ -71,7 +73,7 @@ def test_a_late_answer_to_a_read_does_not_end_a_write() -> None:
     sent: list[bytes] = []
 
     def send(text: bytes) -> None:
-        (frame,) = slcan.LineDecoder().feed(text).frames
+        (frame,) = decode(text).frames
         sent.append(frame.data)
         objects.take_answer(bytes.fromhex("4B 17 10 00 64 00 00 00"))
         objects.take_answer(bytes.fromhex("60 17 10 00 00 00 00 00"))
@@ -93,17 +95,17 @@ def test_the_network_starts_and_stops_this_node_or_all() -> None:
         (b"\x82\x05", cia301.Heartbeat.PRE_OPERATIONAL),
         (b"\x77\x05", cia301.Heartbeat.PRE_OPERATIONAL),
     ):
-        followed = node.follow(slcan.CanFrame(0, data))
+        followed = node.follow(CanFrame(0, data))
         assert followed == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
         assert node.state == state
-    assert node.follow(slcan.CanFrame(0x205, b"\x01\x05")) is None
+    assert node.follow(CanFrame(0x205, b"\x01\x05")) is None
 
 
 def test_an_adapter_answers_for_itself() -> None:
-    adapter = Adapter()
-    frames, answers = adapter.receive(b"\rC\rS6\rV\rN\rO\rt1230\rT000001230\rt1\r")
-    assert [frame.arbitration_id for frame in frames] == [0x123, 0x123]
+    line, adapter = AdapterText(), Adapter()
+    records, answers = line.received(b"\rC\rS6\rV\rN\rO\rt1230\rT000001230\rt1\r")
+    assert [frame.arbitration_id for frame in adapter.receive(records)] == [0x123, 0x123]
     assert answers == b"\x07" + b"\r\r\r" + b"V1013\rN4F1C\r" + b"\r" + b"z\rZ\r"
     assert adapter.open
-    adapter.receive(b"C\r")
+    adapter.receive(line.received(b"C\r")[0])
     assert not adapter.open

@@ -10,7 +10,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
@@ -20,7 +20,7 @@ Items = list[Batch | DeviceEvent]
 
 
 def line(identifier: int, data: bytes) -> bytes:
-    return slcan.encode(slcan.CanFrame(identifier, data))
+    return encode(CanFrame(identifier, data))
 
 
 def report(word: int = 0x0637, rpm: int = 300) -> bytes:
@@ -33,9 +33,7 @@ def beat(state: int) -> bytes:
 
 def joined() -> DrivePipeline:
     """A pipeline whose log has begun."""
-    pipeline = DrivePipeline("drive", CONFIG)
-    pipeline.feed(RX, b"\r", 0)
-    return pipeline
+    return DrivePipeline("drive", CONFIG)
 
 
 def events(items: Items) -> list[DeviceEvent]:

@@ -17,7 +17,7 @@ from daq.drivers.cia402.profile import VELOCITY, profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
 
@@ -113,7 +113,7 @@ def test_a_drive_is_commanded_through_its_own_objects() -> None:
         control.set_speed(-200.5)
         bench.time.pass_time(1.5)
         sent = [data for direction, data, _ in bench.reads if direction == TX]
-        assert slcan.encode(slcan.CanFrame(0x205, profile_of(drive(units_per_rpm=UNITS)).pack(0x0F, -200.5))) in sent
+        assert encode(CanFrame(0x205, profile_of(drive(units_per_rpm=UNITS)).pack(0x0F, -200.5))) in sent
         assert bench.motion.speed_rad_s * TO_RPM == pytest.approx(-200.5, rel=0.01)
         batch = [item for item in bench.items if isinstance(item, Batch)][-1]
         assert batch.columns["target_rpm"][-1] == pytest.approx(-200.5, abs=1e-3)
@@ -140,7 +140,7 @@ def test_a_ramp_below_the_drives_unit_is_refused() -> None:
 
 def test_a_report_of_velocity_mode_is_too_short() -> None:
     pipeline = Cia402().pipeline("drive", drive(), {})
-    data = slcan.encode(slcan.CanFrame(0x185, cia402.pack_tpdo1(0x0237, 300)))
-    (event,) = pipeline.feed(RX, b"\r" + data, 0)
+    data = encode(CanFrame(0x185, cia402.pack_tpdo1(0x0237, 300)))
+    (event,) = pipeline.feed(RX, data, 0)
     assert not isinstance(event, Batch)
     assert event.text.startswith("its reports (TPDO1) have 4 bytes; statusword and actual speed are 6.")

@@ -31,14 +31,17 @@ from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
+from daq.transports.can_frames import CanFrame, encode, open_bus
+from daq.transports.slcan import HostText
 from rig_configs import load_rig
 from rig_configs.roles import PendulumAngles, PendulumLocks, RotorPhase
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx, tx
 from tests.daq.kit_cases import kit_cases
 
 MS = 1_000_000
 PERIOD_NS = 10 * MS
-SYNC = b"t0800\r"
+SYNC = rx(b"t0800\r")
 Items = list[Batch | DeviceEvent]
 
 
@@ -56,7 +59,7 @@ def identity(positions: int = 4096) -> dict[str, int]:
 
 
 def report(node: int, position: int) -> bytes:
-    return f"t{0x180 + node:03X}4{struct.pack('<I', position).hex().upper()}\r".encode()
+    return encode(CanFrame(0x180 + node, struct.pack("<I", position)))
 
 
 class Line:
@@ -66,8 +69,7 @@ class Line:
         self.pipeline = EncoderPipeline("encoders", settings(**other), identity())
         self.now_ms = 0.0
         self.items: Items = []
-        self.at(0, TX, b"O\r")
-        self.at(0, RX, b"\r")
+        self.at(0, TX, open_bus(500_000))
 
     def at(self, ms: float, direction: int, data: bytes) -> None:
         self.items += self.pipeline.feed(direction, data, round((self.now_ms + ms) * MS))
@@ -79,7 +81,7 @@ class Line:
         self.now_ms += 10.0
 
     def all_answer(self, position: int = 100) -> None:
-        self.period(b"z\r" + report(3, position), report(4, position) + report(5, position))
+        self.period(report(3, position), report(4, position) + report(5, position))
 
     def batches(self, topic: str = "pendulums") -> list[Batch]:
         return [item for item in self.items if isinstance(item, Batch) and item.channel.topic == topic]
@@ -97,13 +99,13 @@ class Line:
 
 def test_bytes_of_the_standards() -> None:
     assert wire.SYNC == SYNC
-    assert wire.network_command(0x01, 3) == b"t00020103\r"
-    assert wire.network_command(0x80, 127) == b"t0002807F\r"
+    assert wire.network_command(0x01, 3) == tx(b"t00020103\r")
+    assert wire.network_command(0x80, 127) == tx(b"t0002807F\r")
     assert wire.position(bytes.fromhex("D2040000")) == 1234
     assert wire.position(bytes.fromhex("FFFFFFFF00")) == 2**32 - 1
     assert wire.position(b"\x01\x02\x03") is None
     assert wire.POSITION_MAPPED == 0x60040020
-    assert (wire.PROFILE, wire.SYNC[1:4]) == (0x196, b"080")
+    assert wire.PROFILE == 0x196
 
 
 @given(st.binary(max_size=8))
@@ -126,7 +128,7 @@ def test_the_opening_writes_what_the_standards_define() -> None:
     with bench.running():
         bench.driver.open("encoders", bench.settings, bench)
     sent = b"".join(data for direction, data, _ in bench.reads if direction == TX)
-    lines = sent.split(b"\r")
+    lines = HostText().sent(sent).split(b"\r")
     assert lines[:4] == [b"", b"C", b"S6", b"O"]
     assert [line for line in lines if line.startswith(b"t000")] == [
         *(f"t000280{node:02X}".encode() for node in (3, 4, 5)),
@@ -197,12 +199,12 @@ def test_an_encoder_that_does_not_answer_is_reported_once_until_it_answers_again
 
 def test_an_adapter_that_refuses_frames_is_named_as_the_cause() -> None:
     line = Line()
-    line.at(0, RX, b"\a")  # of an earlier frame
+    line.at(0, RX, rx(b"\a"))  # of an earlier frame
     line.all_answer()
     line.all_answer()
     for _ in range(4):
         line.at(0, TX, SYNC)
-        line.at(1, RX, b"\a")
+        line.at(1, RX, rx(b"\a"))
         line.now_ms += 200
     found = line.events("network")
     assert len(found) == 3
@@ -335,8 +337,8 @@ def test_a_report_without_a_sync_or_too_late_gives_no_sample() -> None:
     ("data", "words"),
     [
         (report(3, 4096), "position 4096, expected less than 4096"),
-        (b"t18330102" + b"03\r", "a report of 3 bytes, expected 4"),
-        (b"t1830\r", "a report of 0 bytes"),
+        (rx(b"t18330102" + b"03\r"), "a report of 3 bytes, expected 4"),
+        (rx(b"t1830\r"), "a report of 0 bytes"),
     ],
 )
 def test_an_impossible_report_is_dropped(data: bytes, words: str) -> None:
@@ -349,7 +351,7 @@ def test_an_impossible_report_is_dropped(data: bytes, words: str) -> None:
 
 def test_reports_of_other_nodes_and_kinds_are_ignored() -> None:
     line = Line()
-    line.period(report(9, 1), b"T0000018340100" + b"0000\r", b"r1834\r", b"t1010\r", report(3, 1) + report(4, 1))
+    line.period(report(9, 1), rx(b"T00000183401000000\rr1834\rt1010\r"), report(3, 1) + report(4, 1))
     assert line.losses == {}
     assert len(line.batches()) == 1
 
@@ -388,7 +390,7 @@ def test_an_impossible_identity_is_refused(positions: object) -> None:
 def test_an_encoder_that_starts_again_gives_no_samples_until_the_rig_is_opened() -> None:
     line = Line()
     line.all_answer()
-    line.at(0, RX, b"t7041" + b"00\r")
+    line.at(0, RX, rx(b"t7041" + b"00\r"))
     line.all_answer()
     (restart,) = line.events("restart")
     assert "encoder b (node 4) started again" in restart.text
@@ -399,12 +401,12 @@ def test_an_encoder_that_starts_again_gives_no_samples_until_the_rig_is_opened()
 
 def test_network_states_and_lost_heartbeats_are_reported() -> None:
     line = Line(heartbeat_ms=50)
-    line.at(0, RX, b"t7031" + b"05\r")  # operational: expected
+    line.at(0, RX, rx(b"t7031" + b"05\r"))  # operational: expected
     line.all_answer()
-    line.at(0, RX, b"t7031" + b"04\r" + b"t7031" + b"09\r" + b"t7030\r")
+    line.at(0, RX, rx(b"t7031" + b"04\r" + b"t7031" + b"09\r" + b"t7030\r"))
     for _ in range(40):
         line.all_answer()
-    line.at(0, RX, b"t7031" + b"85\r")  # with the toggle bit
+    line.at(0, RX, rx(b"t7031" + b"85\r"))  # with the toggle bit
     texts = [event.text for event in line.events("network")]
     assert len(texts) == 3
     assert texts[0] == "encoder a (node 3): network state STOPPED: it reports no position"
@@ -415,11 +417,11 @@ def test_network_states_and_lost_heartbeats_are_reported() -> None:
 
 def test_an_emergency_sets_the_flag_of_its_pendulum_until_it_ends() -> None:
     line = Line()
-    line.at(0, RX, b"t0838" + b"0050" + b"21" + b"0102000000\r")
+    line.at(0, RX, rx(b"t0838" + b"0050" + b"21" + b"0102000000\r"))
     line.all_answer()
-    line.at(0, RX, b"t0838" + bytes(8).hex().encode() + b"\r")
+    line.at(0, RX, rx(b"t0838" + bytes(8).hex().encode() + b"\r"))
     line.all_answer()
-    line.at(0, RX, b"t0834" + b"00500000\r")  # too short
+    line.at(0, RX, rx(b"t0834" + b"00500000\r"))  # too short
     flags = [int(batch.columns["flags"][0]) for batch in line.batches()]
     assert flags == [channels.ENCODER_FAULT_A, 0]
     began, ended = line.events("emergency")
@@ -810,10 +812,10 @@ def test_the_sync_of_a_new_host_replaces_that_of_the_log() -> None:
     assert not played.sending
     played.begin()
     assert played.play(TX, SYNC) + played.play(RX, report(3, 1)) == SYNC + report(3, 1)
-    assert played.hear(SYNC) == b"z\r"
+    assert played.hear(SYNC) == b""
     assert played.commands == 0
     assert played.play(TX, SYNC) == b""
-    assert played.hear(b"t000281" + b"04\r") == b"z\rt704100\r"
+    assert played.hear(tx(b"t00028104\r")) == rx(b"t704100\r")
     assert not played.sending
     assert played.commands == 1
 

@@ -20,6 +20,7 @@ from daq.drivers.cia406.stream import EncoderPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
 from rig_configs import load_rig
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx, tx
 from tests.daq.test_cia406 import SYNC, Line, bench_of, identity, report, settings
 from tests.daq.test_device_check import healthy
 
@@ -94,7 +95,7 @@ def test_the_fault_of_the_opening_is_named_and_ends_with_its_emergency() -> None
     _, items = decoded(FAULTY)
     (found,) = [item for item in items if isinstance(item, DeviceEvent) and item.kind == "emergency"]
     assert found.text.endswith("error register 01h, alarms 8001h (position error, manufacturer-specific)")
-    pipeline, items = decoded(FAULTY, b"t0848" + b"00" * 8 + b"\r")
+    pipeline, items = decoded(FAULTY, rx(b"t0848" + b"00" * 8 + b"\r"))
     assert flags(items) == 0
     assert pipeline.faults == []
 
@@ -118,7 +119,7 @@ def test_identities_of_earlier_versions_have_no_faults(known: dict[str, Any]) ->
 def test_a_fault_remains_until_the_error_register_is_0() -> None:
     line = Line()
     for emergency in (b"0050" + b"21" + b"00" * 5, b"0000" + b"20" + b"00" * 5, b"0000" + b"00" * 6):
-        line.at(0, RX, b"t0838" + emergency + b"\r")
+        line.at(0, RX, rx(b"t0838" + emergency + b"\r"))
         line.all_answer()
     found = [int(batch.columns["flags"][0]) for batch in line.batches()]
     assert found == [channels.ENCODER_FAULT_A, channels.ENCODER_FAULT_A, 0]
@@ -133,9 +134,9 @@ def test_a_fault_remains_until_the_error_register_is_0() -> None:
 
 def test_the_stand_in_for_a_log_has_its_faults() -> None:
     played = PlayedEncoders(settings(), {**identity(), **FAULTY})
-    played.hear(b"O\r")
-    assert b"t58484F011000" + b"01" in played.hear(b"t60484001100000000000\r")
-    assert b"t58484B036500" + b"0180" in played.hear(b"t60484003650000000000\r")
+    played.hear(tx(b"O\r"))
+    assert played.hear(tx(b"t60484001100000000000\r")) == rx(b"t58484F01100001000000\r")
+    assert played.hear(tx(b"t60484003650000000000\r")) == rx(b"t58484B03650001800000\r")
 
 
 def test_the_simulated_encoder_has_the_fault_that_it_reports() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from daq.drivers.cia406.stream import EncoderPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
+from tests.daq.can_text import rx
 from tests.daq.test_cia406 import MS, PERIOD_NS, SYNC, Line, free, identity, report, settings, turning
 
 ALL = report(3, 1), report(4, 1), report(5, 1)
@@ -161,12 +162,12 @@ def test_node_times_are_whole_microseconds_of_the_instant() -> None:
 
 def test_only_the_identifier_of_sync_is_one() -> None:
     line = Line()
-    for data in (b"t00020103\r", b"t07F0\r", b"t0810\r", b"t60384017100000000000\r"):
+    for data in map(rx, (b"t00020103\r", b"t07F0\r", b"t0810\r", b"t60384017100000000000\r")):
         line.at(0.0, TX, data)
         line.at(0.0, RX, data)
     assert line.pipeline.syncs == 0
     line.all_answer()
-    for data in (b"t00020103\r", b"t07F0\r", b"t0810\r"):
+    for data in map(rx, (b"t00020103\r", b"t07F0\r", b"t0810\r")):
         line.at(0.0, RX, data)
     line.all_answer()
     assert line.pipeline.syncs == 2
@@ -264,10 +265,10 @@ def test_positions_are_those_below_the_number_of_positions(position: int, invali
 
 def test_heartbeats_are_no_complaint_and_the_first_encoder_that_starts_again_is_named() -> None:
     line = Line()
-    line.at(0.0, RX, b"t7031" + b"05\r" + b"t7041" + b"05\r")
+    line.at(0.0, RX, rx(b"t703105\rt704105\r"))
     assert line.pipeline.complaint == ""
     for node in (b"t7041", b"t7031"):
-        line.at(1.0, RX, node + b"00\r")
+        line.at(1.0, RX, rx(node + b"00\r"))
     assert line.pipeline.complaint == "encoder b (node 4) started again: its set-up is gone. Open the rig again"
     assert [event.facts["encoder"] for event in line.events("restart")] == ["b", "a"]
 
@@ -277,7 +278,7 @@ def test_flags_are_those_of_each_encoder() -> None:
     for emergencies in ((), (b"t0838",), (b"t0838", b"t0848"), (b"t0848", b"t0858")):
         for each in (b"t0838", b"t0848"):
             code = b"0050" + b"21" if each in emergencies else b"000000"
-            line.at(0.0, RX, each + code + b"00" * 5 + b"\r")
+            line.at(0.0, RX, rx(each + code + b"00" * 5 + b"\r"))
         line.all_answer()
     assert column(line.items, "flags") == [0, 1, 3, 2]
 

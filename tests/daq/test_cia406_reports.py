@@ -12,6 +12,7 @@ from daq.drivers.cia406.stream import EncoderPipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx, tx
 from tests.daq.test_cia406 import SYNC, bench_of, identity, settings
 
 POSITION, SPEED = 0x6004_0020, 0x6030_0110
@@ -95,19 +96,19 @@ def test_a_transmission_type_that_is_right_is_not_written() -> None:
 
 def test_the_stand_in_for_a_log_keeps_the_place_of_the_position() -> None:
     played = PlayedEncoders(settings(), {**identity(), "b_offset": 2})
-    played.hear(b"O\r")
-    assert b"t58484F001A00" + b"02" in played.hear(b"t604840001A0000000000\r")
-    assert b"t584880001A00" in played.hear(b"t60482F001A0000000000\r")
-    assert b"t584843001A01" + b"10000020" in played.hear(b"t604840001A0100000000\r")
+    played.hear(tx(b"O\r"))
+    assert played.hear(tx(b"t604840001A0000000000\r")) == rx(b"t58484F001A0002000000\r")
+    assert played.hear(tx(b"t60482F001A0000000000\r"))[:4] == rx(b"t584880001A0000000000\r")[:4]
+    assert played.hear(tx(b"t604840001A0100000000\r")) == rx(b"t584843001A0110000020\r")
 
 
 def test_reports_are_decoded_at_the_place_in_the_identity() -> None:
     pipeline = EncoderPipeline("encoders", settings(shaft_node=None), {**identity(), "b_offset": 2})
     pipeline.feed(TX, SYNC, 0)
-    items = pipeline.feed(RX, b"t183401000000\rt184634120A000000\r", 1_000_000)
+    items = pipeline.feed(RX, rx(b"t183401000000\rt184634120A000000\r"), 1_000_000)
     (batch,) = [item for item in items if isinstance(item, Batch)]
     assert int(batch.columns["count_b"][0]) == 10
-    (event,) = pipeline.feed(RX, b"t18440A000000\r", 2_000_000)
+    (event,) = pipeline.feed(RX, rx(b"t18440A000000\r"), 2_000_000)
     assert "a report of 4 bytes, expected 6" in str(event)
 
 

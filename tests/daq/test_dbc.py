@@ -26,9 +26,10 @@ from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.replay.calibration import Calibration
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import RigFileError, load_rig
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx
 from tests.daq.kit_cases import kit_cases
 
 MS = 1_000_000
@@ -55,9 +56,7 @@ def sensors(**changes: Any) -> CanSensors:
 
 
 def pipeline(**changes: Any) -> Any:
-    line = DRIVER.pipeline("bus", sensors(**changes), {})
-    assert line.feed(RX, x_frames(7, 1), 0) == []  # the first line may be cut
-    return line
+    return DRIVER.pipeline("bus", sensors(**changes), {})
 
 
 def frame(name: str, **raw: Any) -> bytes:
@@ -146,7 +145,7 @@ def test_a_frame_written_by_hand_gives_both_displacements() -> None:
     """LaserX: 10 000 · 0.1 µm, little-endian; LaserY: 15 000 · 0.5 µm big-endian, from 16 mm towards the sensor."""
     line = pipeline(x__lever_ratio=2.0)
     data = b"t1008102700070100" + b"0000\r" + b"T0000020063A980090FFFF\r"
-    found = line.feed(RX, data, 1000 * MS)
+    found = line.feed(RX, rx(data), 1000 * MS)
     (x,), (y,) = batches(found, "laser/x"), batches(found, "laser/y")
     assert x.columns["displacement_m"].tolist() == [pytest.approx(0.5e-3)]
     assert (x.columns["counter"].tolist(), x.columns["code"].tolist()) == ([7], [10_000])
@@ -173,7 +172,7 @@ def test_multiplexed_quantities_have_the_signals_of_each_frame() -> None:
     np.testing.assert_allclose(batch.columns["board_degC"], [np.nan, -0.5])
     assert batches(line.feed(RX, encode(CanFrame(768, b"\x02\0\0\0")), 8 * MS), "can/temperatures") == []
     foreign = encode(CanFrame(0x7E5, b"\x01"))
-    assert kinds(line.feed(RX, b"\r" + foreign, 400 * MS)) == []
+    assert kinds(line.feed(RX, foreign, 400 * MS)) == []
     assert kinds(line.feed(RX, foreign, 600 * MS)) == ["fault"]  # the lasers have not sent either, for less than 1 s
 
 
@@ -262,9 +261,7 @@ def test_samples_without_counter_and_timestamp_have_the_times_of_their_reads() -
 
 def test_foreign_short_and_remote_frames_and_damaged_lines_are_counted() -> None:
     line = pipeline()
-    found = line.feed(
-        RX, b"t10072710000700000000\r" + b"t1007" + 14 * b"0" + b"\r" + b"r1008\r" + b"t2000\r" + b"tq\r", 0
-    )
+    found = line.feed(RX, rx(b"t10072710000700000000\rt100700000000000000\rr1008\rt2000\rtq\r"), 0)
     assert kinds(found) == ["damage", "damage"]
     assert (line.losses["short_frames"], line.losses["foreign_frames"], line.losses["damaged_lines"]) == (1, 2, 2)
     assert line.feed(TX, x_frames(0, 1), 0) == []

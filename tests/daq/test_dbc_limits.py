@@ -12,13 +12,14 @@ from daq.drivers.dbc.example import DBC, SETTINGS
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.dbc.stream import CanPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import AdapterMessage, CanFrame, adapter_message, encode
+from tests.daq.can_text import rx
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
 SEED = {"device_ns": 1_000 * MS, "host_ns": START_NS, "rate": 0.0, "wrap_ns": 2**32 * 1000}
 NO_LOSSES = dict.fromkeys(
-    ("samples", "damaged_lines", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
+    ("samples", "damaged_lines", "refused_lines", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
 )
 Items = list[Batch | DeviceEvent]
 
@@ -33,9 +34,7 @@ def pipeline(*without: str, identity: dict[str, Any] | None = None, **changes: A
 
 
 def joined(*without: str, **changes: Any) -> CanPipeline:
-    found = pipeline(*without, **changes)
-    assert found.feed(RX, b"\r", 0) == []
-    return found
+    return pipeline(*without, **changes)
 
 
 def laser_x(count: int, micrometres: int = 100, time_us: int = 0, size: int = 8) -> bytes:
@@ -57,17 +56,6 @@ def counters(items: Items, topic: str) -> list[int]:
 
 def events(items: Items) -> list[tuple[str, str, dict[str, Any]]]:
     return [(item.kind, item.text, dict(item.facts)) for item in items if isinstance(item, DeviceEvent)]
-
-
-def test_the_first_line_may_be_cut_and_the_rest_of_its_read_is_decoded() -> None:
-    line = pipeline()
-    assert line.losses == NO_LOSSES
-    assert line.feed(RX, b"0710", 1) == []
-    assert line.feed(RX, b"0100", 2) == []
-    found = line.feed(RX, b"FF\r" + laser_x(7) + laser_x(8, time_us=1000), 3)
-    assert counters(found, "laser/x") == [7, 8]
-    assert counters(line.feed(RX, laser_x(9, time_us=2000), MS), "laser/x") == [9]
-    assert line.losses == NO_LOSSES
 
 
 def test_only_data_frames_with_the_identifier_of_a_message_are_its_own() -> None:
@@ -118,10 +106,10 @@ def test_the_frames_of_a_displacement_have_the_length_of_its_own_message() -> No
 
 def test_damaged_lines_are_counted_and_the_others_of_the_read_are_decoded() -> None:
     line = joined()
-    found = line.feed(RX, b"tq\r" + laser_x(1) + b"t12\r", MS)
+    found = line.feed(RX, rx(b"tq\r") + laser_x(1) + rx(b"t12\r"), MS)
     assert events(found) == [("damage", "2 damaged lines dropped", {"lines": 2})]
     assert counters(found, "laser/x") == [1]
-    line.feed(RX, b"tq\r", 2 * MS)
+    line.feed(RX, rx(b"tq\r"), 2 * MS)
     assert line.losses == NO_LOSSES | {"damaged_lines": 3}
 
 
@@ -131,7 +119,7 @@ def test_a_silence_is_reported_by_the_next_frame_from_the_bus() -> None:
     line.feed(RX, laser_x(1) + laser_y(1), MS)
     assert line.feed(RX, b"", 900 * MS) == []
     assert line.feed(TX, laser_x(2), 900 * MS) == []
-    assert line.feed(RX, b"\r", 900 * MS) == []
+    assert line.feed(RX, adapter_message(AdapterMessage.OPENED), 900 * MS) == []
     foreign = encode(CanFrame(0x7E5, b"\x01"))
     assert line.feed(RX, foreign, 400 * MS) == []
     assert [kind for kind, *_ in events(line.feed(RX, foreign, 900 * MS))] == ["doubt", "doubt"]

@@ -13,7 +13,7 @@ from daq.drivers.dbc.driver import DRIVER
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.dbc.stream import CanPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CLOSE_BUS, AdapterMessage, CanFrame, adapter_message, encode, open_bus
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -33,7 +33,6 @@ def bus(bits: int = 4, **changes: Any) -> CanPipeline:
     table = {"driver": "dbc", "port": "p", "bitrate": 1_000_000, "dbc_text": text, "x": X, **changes}
     found = DRIVER.pipeline("bus", CanSensors.model_validate(table), {})
     assert isinstance(found, CanPipeline)
-    assert found.feed(RX, b"\r", START_NS) == []
     return found
 
 
@@ -161,7 +160,7 @@ class OpenAdapter:
         self.bytes_in += 100 if self._now_s < 0.3 else 0
 
     def send(self, data: bytes) -> None:
-        self.heard += data.split(b"\r")
+        self.heard.append(data)
 
     def restart_decoding(self) -> None:
         self.joined_after = self.bytes_in
@@ -172,7 +171,7 @@ def test_frames_that_an_adapter_holds_from_an_earlier_session_are_not_recorded(p
     adapter = OpenAdapter()
     table = {"driver": "dbc", "port": port, "bitrate": 1_000_000, "dbc_text": DBC, "x": X}
     DRIVER.open("bus", CanSensors.model_validate(table), cast(Any, adapter))
-    assert [word for word in adapter.heard if word][-3:] == [b"C", b"S8", b"O"]
+    assert adapter.heard == [CLOSE_BUS] * old + [open_bus(1_000_000)]
     assert adapter.joined_after == (adapter.bytes_in if old else None)
     assert (adapter.wall_s() > 0.3) == old
 
@@ -180,7 +179,7 @@ def test_frames_that_an_adapter_holds_from_an_earlier_session_are_not_recorded(p
 def test_answers_of_an_adapter_do_not_show_that_the_bus_carries_frames() -> None:
     line = bus(timeout_s=0.5)
     line.feed(RX, frame(1, 0), START_NS)
-    assert line.feed(RX, b"\r\r\x07", START_NS + 900 * MS) == []
+    assert line.feed(RX, adapter_message(AdapterMessage.OPENED), START_NS + 900 * MS) == []
 
 
 def test_a_bus_that_was_silent_as_a_whole_gives_the_sensor_time_to_come_back() -> None:

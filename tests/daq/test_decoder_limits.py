@@ -20,7 +20,7 @@ from daq.drivers.vesc import packets, wire as vesc
 from daq.drivers.xbee import wire as xbee
 from daq.drivers.xbee.framing import ApiDecoder, DamagedPart, encode
 from daq.errors import DeviceError
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame
 
 WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 PERIOD = 25  # ticks of a sample at 4 kHz
@@ -765,74 +765,6 @@ def test_states_in_a_heartbeat(data: str, state: int | None) -> None:
 
 
 def test_frames_of_other_protocols_on_the_bus_are_left_out() -> None:
-    own = slcan.CanFrame(0x185, b"1234")
-    others = [slcan.CanFrame(1, extended=True), slcan.CanFrame(1, remote=True), slcan.CanFrame(1, b"", True, True)]
+    own = CanFrame(0x185, b"1234")
+    others = [CanFrame(1, extended=True), CanFrame(1, remote=True), CanFrame(1, b"", True, True)]
     assert cia301.own_frames([others[0], own, *others[1:]]) == [own]
-
-
-# --- slcan -----------------------------------------------------------------------------------------------------
-
-
-def lines(data: bytes, *, of_host: bool = False) -> tuple[list[slcan.CanFrame], list[str], int]:
-    found = slcan.LineDecoder(of_host=of_host).feed(data)
-    return found.frames, found.other_lines, found.damaged
-
-
-@pytest.mark.parametrize(
-    ("line", "frame"),
-    [
-        ("t7FF0", slcan.CanFrame(0x7FF)),
-        ("t8000", None),
-        ("t0008" + "11" * 8, slcan.CanFrame(0, b"\x11" * 8)),
-        ("t0009" + "11" * 9, None),
-        ("t0008" + "11" * 7, None),
-        ("t000211", None),
-        ("t00021122A", None),
-        ("t00021122ABCD", slcan.CanFrame(0, b"\x11\x22")),
-        ("t00021122ABCDEF", None),
-        ("T1FFFFFFF0", slcan.CanFrame(0x1FFFFFFF, extended=True)),
-        ("T200000000", None),
-        ("r1233", slcan.CanFrame(0x123, bytes(3), remote=True)),
-        ("r1233ABCD", slcan.CanFrame(0x123, bytes(3), remote=True)),
-        ("r1233ABCDEF", None),
-        ("R000001238", slcan.CanFrame(0x123, bytes(8), True, True)),
-    ],
-)
-def test_frames_at_the_limits_of_identifier_and_length(line: str, frame: slcan.CanFrame | None) -> None:
-    for ending in (b"\r", b"\x07"):
-        bell = ["\a"] if ending == b"\x07" else []
-        assert lines(line.encode() + ending) == ([frame] if frame else [], bell, 0 if frame else 1)
-    if frame and len(line) < 22 and "ABCD" not in line:
-        assert slcan.encode(frame) == line.encode() + b"\r"
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
-        slcan.CanFrame(0x800),
-        slcan.CanFrame(-1),
-        slcan.CanFrame(0x20000000, extended=True),
-        slcan.CanFrame(1, bytes(9)),
-    ],
-)
-def test_frames_beyond_the_limits_are_refused(frame: slcan.CanFrame) -> None:
-    with pytest.raises(ValueError, match="expected an identifier up to"):
-        slcan.encode(frame)
-
-
-@pytest.mark.parametrize("split", [False, True])
-def test_a_line_of_more_than_64_bytes_is_one_damage(split: bool) -> None:
-    for count, damaged in ((64, 1), (65, 1), (500, 1)):
-        data = b"x" * count + b"\rz\r"
-        decoder = slcan.LineDecoder()
-        found = [decoder.feed(data[at : at + 1]) for at in range(len(data))] if split else [decoder.feed(data)]
-        assert sum(part.damaged for part in found) == damaged
-        assert [line for part in found for line in part.other_lines] == ["z"]
-
-
-def test_ends_of_lines() -> None:
-    assert slcan.first_line_end(b"abc") == slcan.first_line_end(b"") == 0
-    assert slcan.first_line_end(b"abc\rd\r") == 4
-    assert slcan.first_line_end(b"\x07d\r") == 1
-    assert lines(b"\r\n\r\nz\r\n\x07") == ([], ["", "", "z", "\a"], 0)
-    assert lines(b"z\x07\x07\r") == ([], ["z", "\a", "\a", ""], 0)

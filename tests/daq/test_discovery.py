@@ -19,7 +19,8 @@ from daq.drivers.identification import AnswersIdentityRequest, RecognisesBytes
 from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode, open_bus
+from daq.transports.slcan import encode as text_of
 from tests.daq.far_end_on_port import PORT, Cable, CableLink, SilentDevice, Source
 from tests.effort import cases, thorough
 
@@ -101,8 +102,8 @@ def test_a_device_that_sends_is_recognised_without_a_sent_byte(
 
 def test_a_drive_on_an_open_bus_is_recognised_by_its_reports() -> None:
     cable = Cable.of("cia402", node_id=9)
-    start = slcan.encode(slcan.CanFrame(0, bytes([1, 9])))
-    cable.far.receive(b"O\r" + start, 0.0)
+    start = encode(CanFrame(0, bytes([1, 9])))
+    cable.far.receive(open_bus(500_000) + start, 0.0)
     result = search(cable)
     assert result.trial is not None
     assert result.trial.driver.name == "cia402"
@@ -258,7 +259,7 @@ def test_the_bit_rate_of_a_bus_is_that_at_which_frames_arrive() -> None:
                 out += b"t70517F\r" if line == b"L" and self.rate == "S5" else b""
                 if line.startswith(b"t605") and self.rate == "S5":
                     sub = bytes.fromhex(line[5:].decode())[1:4]
-                    out += slcan.encode(slcan.CanFrame(0x585, b"\x43" + sub + b"\x92\x01\x02\x00"))
+                    out += text_of(CanFrame(0x585, b"\x43" + sub + b"\x92\x01\x02\x00"))
             return out
 
     cable = Cable(lambda world: Bus())
@@ -289,7 +290,7 @@ class Canable(FarEnd):
                 out += b"b158aa7 github.com/normaldotcom/canable-fw.git\r"
             elif line.startswith("t605") and self.open and not self.silent and self.rate == "S5":
                 sub = bytes.fromhex(line[5:])[1:4]
-                out += slcan.encode(slcan.CanFrame(0x585, b"\x43" + sub + b"\x92\x01\x02\x00"))
+                out += text_of(CanFrame(0x585, b"\x43" + sub + b"\x92\x01\x02\x00"))
         return out
 
 

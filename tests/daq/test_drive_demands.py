@@ -16,7 +16,8 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.status_checks import drive_checks
 from daq.errors import DeviceError
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import Repeated
 from tests.daq.test_drive_setup import CONFIG, NODE, MappedDrive
 
@@ -145,7 +146,7 @@ def test_a_drive_may_need_seconds_to_be_enabled() -> None:
     begun_s = clock.wall_s()
 
     def hear_slowly(data: bytes) -> None:
-        enabling = slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, NODE), cia402.pack_rpdo1(0x0F, 0)))
+        enabling = encode(CanFrame(cia301.cob_rpdo(1, NODE), cia402.pack_rpdo1(0x0F, 0)))
         if data == enabling and clock.wall_s() < begun_s + 6.0:
             drive.reports()
         else:

@@ -18,7 +18,8 @@ from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.errors import DeviceError, LinkLost
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, FrameDecoder
 from rig_configs import load_rig
 
 CONFIG = cast("MotorDrive", load_rig("virtual").devices["drive"])
@@ -68,7 +69,7 @@ class MappedDrive:
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", cia402.STATES[self.state][1]),
             (self.profile.actual, 0): lambda: bytes(self.profile.size - 2),
         }
-        self._lines, self._sdo = slcan.LineDecoder(), SdoServer(self.objects, measured, self._take)
+        self._lines, self._sdo = FrameDecoder(), SdoServer(self.objects, measured, self._take)
         self.host = DriveControl(settings, self.hear, HostClock())
 
     def value(self, index: int, sub: int) -> int:
@@ -114,7 +115,7 @@ class MappedDrive:
         self.answer(cia301.cob_tpdo(1, NODE), self.profile.pack(cia402.STATES[self.state][1], 0))
 
     def answer(self, identifier: int, data: bytes) -> None:
-        self.host.take_frames([slcan.CanFrame(identifier, data)])
+        self.host.take_frames([CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
         index, sub, value = struct.unpack_from("<HBI", request, 1)

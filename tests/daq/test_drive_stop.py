@@ -15,7 +15,8 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
@@ -38,7 +39,7 @@ class FarEnd:
         self.deaf = False  # to the network's start too
         self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
         self.stray = b""  # an answer that comes before the right one
-        self._lines, self._answers = slcan.LineDecoder(), slcan.LineDecoder()
+        self._lines, self._answers = FrameDecoder(), FrameDecoder()
         self.unheeded = False  # process data reaches it no more
         self.missed = 0  # frames of process data that the adapter does not take
         self.mute_reports = False  # its objects answer
@@ -76,7 +77,9 @@ class FarEnd:
         self.report(cia301.cob_heartbeat(CONFIG.node_id), bytes([state]))
 
     def _miss(self, data: bytes) -> None:
-        if self.missed and data.startswith(f"t{cia301.cob_rpdo(1, CONFIG.node_id):03X}".encode()):
+        if self.missed and any(
+            frame.arbitration_id == cia301.cob_rpdo(1, CONFIG.node_id) for frame in decode(data).frames
+        ):
             self.missed -= 1
             raise LinkLost("no buffer space")
 
@@ -118,7 +121,7 @@ class FarEnd:
     def report(self, identifier: int, data: bytes) -> None:
         if self.silent:
             return
-        self.control.take_frames(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+        self.control.take_frames(self._answers.feed(encode(CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
         if self.mute_reports:

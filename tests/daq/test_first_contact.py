@@ -9,12 +9,12 @@ from __future__ import annotations
 import pytest
 
 from daq.acquisition.session import Session
-from daq.drivers.can_lines import open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
+from daq.transports.can_frames import open_bus, opens_bus
 from rig_configs import load_rig
 from tests.daq import (
     test_cia402_limits as drive,
@@ -22,6 +22,7 @@ from tests.daq import (
     test_microstrain as radio,
     test_vesc_can as vesc,
 )
+from tests.daq.can_text import rx
 from tests.daq.test_drive_setup import MappedDrive
 
 OPENING = open_bus(500_000)
@@ -57,7 +58,7 @@ class JustPowered(MappedDrive):
     waits = True
 
     def hear(self, data: bytes) -> None:
-        if self.waits and b"O\r" in data:
+        if self.waits and opens_bus(data):
             self.waits = False
             self.shows(cia301.Heartbeat.BOOT_UP)
         super().hear(data)
@@ -113,7 +114,7 @@ def test_a_boot_up_in_a_log_without_the_opening_is_a_restart() -> None:
 def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
     line = encoders.Line()
     line.at(0, TX, OPENING)
-    line.at(0, RX, b"".join(f"t{0x700 + node:03X}100\r".encode() for node in (3, 4, 5)))
+    line.at(0, RX, rx(b"t703100\rt704100\rt705100\r"))
     line.all_answer()
     line.all_answer()
     assert sum(len(batch.time_ns) for batch in line.batches()) > 0
@@ -121,7 +122,7 @@ def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
     assert line.events("network")
     line = encoders.Line()
     line.all_answer()
-    line.at(0, RX, b"t703100\r")
+    line.at(0, RX, rx(b"t703100\r"))
     assert len(line.events("restart")) == 1
     assert "its set-up is gone" in line.pipeline.complaint
 

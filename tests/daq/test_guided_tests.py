@@ -19,7 +19,8 @@ from daq.log import open_log
 from daq.log.outcome import not_reached_of
 from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, FrameDecoder
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
@@ -155,14 +156,14 @@ class FaultyDrive:
         self.state, self.control = cia402.FAULT, 0
         watched = {(cia301.CONSUMER_HEARTBEAT, 1): (cia402.consumer_heartbeat(1, 500), "<I")}
         self._sdo = SdoServer(drive_objects(5) | watched | reason, {}, lambda index, sub, value: None)
-        self._lines = slcan.LineDecoder()
+        self._lines = FrameDecoder()
         self.host = DriveControl(rig.devices["drive"], self._hear, HostClock())
         self._report()
 
     def _hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id == cia301.cob_sdo_request(5):
-                self.host.take_frames([slcan.CanFrame(cia301.cob_sdo_answer(5), self._sdo.answer(frame.data))])
+                self.host.take_frames([CanFrame(cia301.cob_sdo_answer(5), self._sdo.answer(frame.data))])
             elif frame.arbitration_id == cia301.cob_rpdo(1, 5):
                 word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
                 self.control = word
@@ -176,7 +177,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.take_frames([slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.take_frames([CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,13 @@ from daq.items import RX, TX, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
-BEAT = slcan.encode(slcan.CanFrame(cia301.cob_heartbeat(CONFIG.host_node_id), b"\x05"))
-ORDER = slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, CONFIG.node_id), cia402.pack_rpdo1(cia402.SHUTDOWN, 0)))
-REPORT = slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(0x0631, 0)))
+BEAT = encode(CanFrame(cia301.cob_heartbeat(CONFIG.host_node_id), b"\x05"))
+ORDER = encode(CanFrame(cia301.cob_rpdo(1, CONFIG.node_id), cia402.pack_rpdo1(cia402.SHUTDOWN, 0)))
+REPORT = encode(CanFrame(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(0x0631, 0)))
 
 
 class Bus:
@@ -37,9 +37,7 @@ class Bus:
         self.faults += [item for item in found if isinstance(item, DeviceEvent) and item.kind == "fault"]
 
     def period(self, *what: tuple[float, int, bytes]) -> None:
-        for ms, direction, data in sorted(
-            [(0.0, TX, BEAT), (1.0, RX, b"\r" + REPORT), *what], key=lambda each: each[0]
-        ):
+        for ms, direction, data in sorted([(0.0, TX, BEAT), (1.0, RX, REPORT), *what], key=lambda each: each[0]):
             self.at(ms, direction, data)
         self.now_ms += 100.0
 

@@ -23,10 +23,10 @@ from daq.drivers.odrive.stream import OdrivePipeline
 from daq.drivers.repeated_command import Mode
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import slcan
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode, open_bus
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx
 from tests.daq.motor_rows import rows
 
 MS = 1_000_000
@@ -45,7 +45,11 @@ def variant(**settings: Any) -> OdriveDriver:
 
 
 def text(*frames: CanFrame) -> bytes:
-    return b"".join(slcan.encode(frame) for frame in frames)
+    return encode(*(frame for frame in frames))
+
+
+def sent(records: bytes) -> list[int]:
+    return [frame.arbitration_id for frame in decode(records).frames]
 
 
 def beat(error: int = 0, state: int = wire.IDLE, flags: bytes = bytes(3), node: int = 1) -> CanFrame:
@@ -66,12 +70,12 @@ def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
 def test_frames_of_the_host_are_those_of_the_documents() -> None:
     """Vectors: set velocity of 25 turns/s to node 1 is published; the others follow from the message table."""
     assert wire.set_velocity(1, 25.0) == CanFrame(0x02D, bytes.fromhex("0000C84100000000"))
-    assert slcan.encode(wire.set_velocity(1, 25.0)) == b"t02D80000C84100000000\r"
+    assert encode(wire.set_velocity(1, 25.0)) == rx(b"t02D80000C84100000000\r")
     assert wire.set_velocity_mode(1) == CanFrame(0x02B, bytes.fromhex("0200000001000000"))
     assert wire.set_state(1, wire.CLOSED_LOOP) == CanFrame(0x027, bytes.fromhex("0800000000000000"))
     assert wire.estop(3) == CanFrame(0x062)
     assert wire.clear_errors(1) == CanFrame(0x038, b"\0")
-    assert slcan.encode(wire.request(1, wire.ESTIMATES)) == b"r0298\r"
+    assert encode(wire.request(1, wire.ESTIMATES)) == rx(b"r0298\r")
 
 
 def test_frames_of_the_controller_are_those_of_the_documents() -> None:
@@ -305,7 +309,7 @@ class Bench(DriverBench):
 
     def commands(self) -> list[int]:
         """Commands that the host has sent to the axis."""
-        decoder = slcan.LineDecoder(of_host=True)
+        decoder = FrameDecoder()
         sent = [frame for way, data, _ in self.reads if way == TX for frame in decoder.feed(data).frames]
         return [wire.split(frame.arbitration_id)[1] for frame in sent if not frame.remote]
 
@@ -553,12 +557,12 @@ def test_an_opening_that_fails_names_the_cause(
 def test_the_stand_in_for_playing_accepts_any_identity(identity: dict[str, Any]) -> None:
     played = DRIVER.played(axis(), identity)
     assert not played.sending
-    assert b"t0218" in played.hear(b"\rC\rS5\rO\r")
+    assert 0x021 in sent(played.hear(open_bus(250_000)))
     assert played.sending
     answer = played.hear(text(wire.request(1, wire.VERSION), wire.request(1, wire.ADDRESS)))
-    assert b"t0008" not in answer
-    assert b"t0208" in answer
-    assert b"t0268" in answer
+    assert 0x000 not in sent(answer)
+    assert 0x020 in sent(answer)
+    assert 0x026 in sent(answer)
     played.hear(text(wire.set_state(1, wire.CLOSED_LOOP), wire.set_state(2, wire.CLOSED_LOOP)))
     assert played.unfollowed == 1
 

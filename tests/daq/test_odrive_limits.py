@@ -14,7 +14,7 @@ from daq.drivers.odrive.settings import Odrive
 from daq.drivers.odrive.stream import OdrivePipeline
 from daq.drivers.odrive.wire import CLOSED_LOOP, IDLE, Heartbeat
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CLOSE_BUS, CanFrame, encode, open_bus
 from tests.daq.motor_rows import rows
 
 MS = 1_000_000
@@ -348,9 +348,9 @@ def test_the_first_report_of_each_kind_after_the_bus_was_opened_is_a_reply() -> 
 
     both: list[tuple[str, str, dict[str, Any]]] = [("reply", "heartbeat", {}), ("reply", "estimates", {})]
     assert [replies(), replies()] == [both, []]
-    line.feed(TX, b"C\r" + text(velocity(0.0)), 0)
+    line.feed(TX, CLOSE_BUS + text(velocity(0.0)), 0)
     assert replies() == []
-    line.feed(TX, b"\rC\rS5\rO\r", 0)
+    line.feed(TX, open_bus(250_000), 0)
     assert [replies(), replies()] == [both, []]
 
 

@@ -25,7 +25,8 @@ from daq.log import Log, open_log
 from daq.log.file import LogFile
 from daq.log.samples import RawChunk
 from daq.playback import BACKLOG_BYTES, LinkOutlet, Outlet, Playback, PlayedDevice, open_outlets, played_devices
-from daq.transports import HostClock, Link, open_link, slcan
+from daq.transports import HostClock, Link, open_link
+from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from daq.transports.wires import PtyWire, TcpWire
 from rig_configs import load_rig
 from tests.daq.replayed_log import IDENTITIES, START_NS, write_log
@@ -89,14 +90,14 @@ def test_a_serial_line_carries_what_the_device_sent_and_nothing_else(log: Log) -
     assert state.log_ns == log.end_ns
 
 
-def frames_of(data: bytes) -> list[slcan.CanFrame]:
-    return slcan.LineDecoder().feed(data).frames
+def frames_of(data: bytes) -> list[CanFrame]:
+    return decode(data).frames
 
 
 def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
     outlet = FakeOutlet()
     Playback({"drive": outlet}, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
-    found = slcan.LineDecoder().feed(outlet.got)
+    found = FrameDecoder().feed(outlet.got)
     assert found.damaged == 0
     assert [f for f in found.frames if f.arbitration_id == cia301.cob_tpdo(1, 5)] == frames_of(
         from_device(log, "drive")
@@ -104,7 +105,7 @@ def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
     sent = frames_of(b"".join(chunk.data for chunk in log.raw("drive") if chunk.direction == TX))
     assert [f for f in found.frames if f.arbitration_id != cia301.cob_tpdo(1, 5)] == sent
     assert len(sent) > 10
-    assert "O" not in found.other_lines  # the host's commands to its own adapter are not on the bus
+    assert found.of_adapter == []  # the host's commands to its own adapter are not on the bus
 
 
 @given(
@@ -129,9 +130,9 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
     for is_host, rpm in frames:
         if is_host:
-            take(TX, slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
+            take(TX, encode(CanFrame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
         else:
-            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
+            pending += encode(CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
             size = next(cut)
             take(RX, pending[:size])
             pending = pending[size:]

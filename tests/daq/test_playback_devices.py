@@ -24,8 +24,10 @@ from daq.errors import DeviceError, LogError
 from daq.items import RX, TX
 from daq.log import Log, open_log
 from daq.playback import PlayedDevice, played_devices
-from daq.transports import HostClock, slcan
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from rig_configs import load_rig
+from tests.daq.can_text import tx
 from tests.daq.replayed_log import IDENTITIES, write_log
 
 RIG = load_rig("virtual")
@@ -193,7 +195,7 @@ class Bus:
     def __init__(self, drive: PlayedDrive) -> None:
         self.drive = drive
         self.control = DriveControl(RIG.devices["drive"], self.send, HostClock())
-        self._lines = slcan.LineDecoder()
+        self._lines = FrameDecoder()
 
     def send(self, data: bytes) -> None:
         self.bring(self.drive.hear(data))
@@ -203,9 +205,7 @@ class Bus:
 
 
 def report(status: int, rpm: int) -> bytes:
-    return slcan.encode(
-        slcan.CanFrame(cia301.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm))
-    )
+    return encode(CanFrame(cia301.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm)))
 
 
 def test_our_own_control_starts_and_stops_a_played_drive() -> None:
@@ -230,15 +230,15 @@ def test_it_reports_the_newest_values_of_the_log() -> None:
     bus = Bus(drive)
     bus.control.start()
     line = report(0x237, -300)
-    drive.play(RX, report(0x240, 1) + b"z\r" + line[:9])
-    drive.play(RX, line[9:] + line[:9])
+    drive.play(RX, report(0x240, 1))
+    drive.play(RX, line)
     node = canopen.RemoteNode(RIG.devices["drive"].node_id, canopen.ObjectDictionary())
     network = canopen.Network()
     network.add_node(node)
 
     def answered(identifier: int, data: bytes, remote: bool = False) -> None:
-        request = slcan.encode(slcan.CanFrame(identifier, bytes(data).ljust(8, b"\0")))
-        for frame in slcan.LineDecoder().feed(drive.hear(request)).frames:
+        request = encode(CanFrame(identifier, bytes(data).ljust(8, b"\0")))
+        for frame in decode(drive.hear(request)).frames:
             network.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
     network.send_message = answered  # a hook of this test
@@ -250,11 +250,11 @@ def test_it_reports_the_newest_values_of_the_log() -> None:
 
 def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
     drive = PlayedDrive(RIG.devices["drive"])
-    drive.hear(b"O\rt0002" + bytes([1, 5]).hex().encode() + b"\r")
+    drive.hear(tx(b"O\rt00020105\r"))
     line = report(0x237, 300)
-    request = slcan.encode(slcan.CanFrame(cia301.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
-    bus = drive.play(RX, line + line[:7]) + drive.hear(request) + drive.play(RX, line[7:])
-    found = slcan.LineDecoder().feed(bus)
+    request = encode(CanFrame(cia301.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
+    bus = drive.play(RX, line) + drive.hear(request) + drive.play(RX, line)
+    found = FrameDecoder().feed(bus)
     assert found.damaged == 0
     assert [frame.arbitration_id for frame in found.frames] == [0x185, cia301.cob_sdo_answer(5), 0x185]
 

@@ -15,13 +15,13 @@ from daq.errors import DeviceError, LinkLost
 from daq.items import RX
 from daq.log import Log, open_log
 from daq.playback import Playback, PlaybackState, played_devices
-from daq.transports import slcan
+from daq.transports.can_frames import CLOSE_BUS, CanFrame, encode, open_bus
 from tests.daq.replayed_log import write_log
 from tests.daq.test_replay import FakeClock
 
 LASERS = (b"OUTPUT NONE\n", b"GETINFO\n", b"OUTPUT RS422\n")
-START = b"O\r" + slcan.encode(slcan.CanFrame(0, b"\x01\x05"))
-STOP = slcan.encode(slcan.CanFrame(0, b"\x80\x05")) + b"C\r"
+START = open_bus(500_000) + encode(CanFrame(0, b"\x01\x05"))
+STOP = encode(CanFrame(0, b"\x80\x05")) + CLOSE_BUS
 
 
 class Host:
@@ -132,10 +132,10 @@ def test_a_host_that_sends_nothing_is_a_listener(log: Log, hosts: dict[str, Host
 
 def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
     playback = Playback(hosts, played_devices(log), math.inf, FakeClock())
-    hosts["drive"].next_bytes = b"C\rS6\rO\r"
+    hosts["drive"].next_bytes = open_bus(500_000)
     playback.wait_for_readers()
     assert not playback.configured
-    assert hosts["drive"].got == b"\r\r\r"
+    assert hosts["drive"].got == b""
 
 
 def test_commands_of_a_host_that_left_before_all_ports_were_open_do_not_count(log: Log, hosts: dict[str, Host]) -> None:

@@ -12,7 +12,7 @@ from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc import wire as vesc
 from daq.items import RX, Batch
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode, open_bus
 from daq.virtual_rig.faults import LINE_FAULTS, FaultInjector
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
@@ -33,7 +33,7 @@ class Fed:
         self.pipelines = make_pipelines(self.config.devices, {})
         self.batches: dict[str, list[Batch]] = {name: [] for name in self.rig.far_ends}
         self.kinds: dict[str, list[str]] = {name: [] for name in self.rig.far_ends}
-        self.go(STEP_S, {"laser_x": LASER_ON, "laser_y": LASER_ON, "drive": b"O\r", "east": RIFTEK_ON})
+        self.go(STEP_S, {"laser_x": LASER_ON, "laser_y": LASER_ON, "drive": open_bus(500_000), "east": RIFTEK_ON})
 
     def go(self, seconds: float, received: dict[str, bytes] | None = None) -> dict[str, bytes]:
         """Let rig time pass; what each device has sent in it."""
@@ -158,16 +158,15 @@ def test_other_makers_devices_restart_too() -> None:
 def test_a_drive_without_supply_coasts_and_boots_up_behind_an_adapter_that_answers() -> None:
     fed = Fed()
     motion, drive = fed.rig.motion, fed.rig.far_ends["drive"]
-    fed.go(0.02, {"drive": slcan.encode(slcan.CanFrame(0, bytes([1, 5])))})
+    fed.go(0.02, {"drive": encode(CanFrame(0, bytes([1, 5])))})
     assert len(fed.go(0.2)["drive"]) > 100
     fed.fail("drive", "power", seconds=0.5)
     motion._rotor[1] = motion._rotor[2] = 30.0
     before = motion.speed_rad_s
-    sent = fed.go(0.4, {"drive": b"V\r"})["drive"]
-    assert sent == b"V1013\r"
+    assert fed.go(0.4, {"drive": open_bus(500_000)})["drive"] == b""
     assert before - 3 < motion.speed_rad_s < before
     sent = fed.go(0.2)["drive"]
-    assert sent == slcan.encode(slcan.CanFrame(0x705, b"\x00"))  # boot-up; it reports nothing until it is started
+    assert sent == encode(CanFrame(0x705, b"\x00"))  # boot-up; it reports nothing until it is started
     assert drive.facts()["watchdog_ms"] == 0
 
 

@@ -6,6 +6,7 @@ import hashlib
 
 import pytest
 
+from daq.transports.can_frames import open_bus
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import RigConfigError, load_rig
 
@@ -20,7 +21,7 @@ def bytes_of(seed: int, steps: int = 200) -> dict[str, str]:
         now_s = 0.0021 * (i + 1)
         if i == 5:
             rig.do({"do": "pluck", "x_mm": 2.0, "hold_s": 0.1}, now_s)
-        for name, data in rig.step(now_s, {"laser_x": LASER_ON, "drive": b"O\r"} if i == 0 else {}).items():
+        for name, data in rig.step(now_s, {"laser_x": LASER_ON, "drive": open_bus(500_000)} if i == 0 else {}).items():
             sent[name].update(data)
     return {name: digest.hexdigest() for name, digest in sent.items()}
 

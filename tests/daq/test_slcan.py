@@ -3,7 +3,16 @@
 import pytest
 from hypothesis import given, strategies as st
 
-from daq.transports.slcan import BEL, CanFrame, DecodedLines, LineDecoder, encode
+from daq.transports.can_frames import (
+    CLOSE_BUS,
+    AdapterMessage,
+    CanFrame,
+    adapter_message,
+    decode as decode_records,
+    encode as record_of,
+    open_bus,
+)
+from daq.transports.slcan import BEL, AdapterText, DecodedLines, HostText, LineDecoder, encode
 
 FRAMES = st.one_of(
     st.builds(CanFrame, st.integers(0, 0x7FF), st.binary(max_size=8)),
@@ -90,14 +99,6 @@ def test_an_endless_line_is_bounded():
     assert decoder.feed(b"\r" + encode(CanFrame(1))) == DecodedLines([CanFrame(1)], [], 1)
 
 
-@pytest.mark.parametrize(
-    "frame", [CanFrame(0x800), CanFrame(-1), CanFrame(1, bytes(9)), CanFrame(2**29, extended=True)]
-)
-def test_a_frame_that_cannot_be_is_refused(frame):
-    with pytest.raises(ValueError, match="expected an identifier"):
-        encode(frame)
-
-
 @pytest.mark.parametrize("line", ["V1013", "v0107", "NA123", "NA1230000", "F04", "z", "Z", ""])
 def test_what_adapters_answer_is_no_damage(line):
     assert decode([line.encode() + b"\r"]) == DecodedLines([], [line], 0)
@@ -110,29 +111,116 @@ def test_orders_are_a_host_s_and_no_adapter_s(line):
     assert LineDecoder().feed(data).damaged == (line != "")
 
 
-LINES = st.one_of(
-    FRAMES.map(encode),
-    FRAMES.map(lambda frame: encode(frame).lower().replace(b"t", b"T")),
-    st.builds(
-        lambda frame, end: encode(frame)[:-1] + end, FRAMES, st.sampled_from([b"ABCD\r", b"\x07", b"\r\n", b"0\r"])
-    ),
-    st.binary(max_size=90),
-    st.sampled_from([b"z\r", b"\r", b"\x07", b"\n\n", b"V1013\r", b"t8008\r", b"T200000000\r", b"t12398\r", b"x" * 70]),
+@pytest.mark.parametrize(
+    ("line", "frame"),
+    [
+        ("t7FF0", CanFrame(0x7FF)),
+        ("t8000", None),
+        ("t0008" + "11" * 8, CanFrame(0, b"\x11" * 8)),
+        ("t0009" + "11" * 9, None),
+        ("t0008" + "11" * 7, None),
+        ("t000211", None),
+        ("t00021122A", None),
+        ("t00021122ABCD", CanFrame(0, b"\x11\x22")),
+        ("t00021122ABCDEF", None),
+        ("T1FFFFFFF0", CanFrame(0x1FFFFFFF, extended=True)),
+        ("T200000000", None),
+        ("r1233", CanFrame(0x123, bytes(3), remote=True)),
+        ("r1233ABCD", CanFrame(0x123, bytes(3), remote=True)),
+        ("r1233ABCDEF", None),
+        ("R000001238", CanFrame(0x123, bytes(8), True, True)),
+    ],
 )
+def test_frames_at_the_limits_of_identifier_and_length(line, frame):
+    for ending in (b"\r", b"\x07"):
+        bell = [BEL] if ending == b"\x07" else []
+        assert decode([line.encode() + ending]) == DecodedLines([frame] if frame else [], bell, 0 if frame else 1)
 
 
-READS = st.builds(
-    lambda lines, times: b"".join(lines) * times, st.lists(LINES, max_size=6), st.sampled_from([1, 9, 90])
+def test_ends_of_lines():
+    assert decode([b"\r\n\r\nz\r\n\x07"]).other_lines == ["", "", "z", BEL]
+    assert decode([b"z\x07\x07\r"]).other_lines == ["z", BEL, BEL, ""]
+    assert decode([b"x" * 500 + b"\rz\r"]) == DecodedLines([], ["z"], 1)
+
+
+# --- the host's end ----------------------------------------------------------------------------------------------
+
+
+def joined():
+    host = HostText()
+    assert host.received(b"\r") == b""
+    return host
+
+
+def messages(records):
+    return decode_records(records).of_adapter
+
+
+@given(st.lists(FRAMES))
+def test_frames_cross_the_line_in_both_directions(frames):
+    host, adapter = joined(), AdapterText()
+    records, answers = adapter.received(host.sent(record_of(*frames)))
+    assert records == record_of(*frames)
+    assert host.received(answers) == b"", "every frame was sent"
+    assert host.received(adapter.sent(record_of(*frames))) == record_of(*frames)
+
+
+def test_the_bus_is_opened_and_closed():
+    host, adapter = HostText(), AdapterText()
+    text = host.sent(open_bus(500_000))
+    assert text == b"\rC\rS6\rO\r"
+    records, answers = adapter.received(text)
+    assert messages(records) == [(AdapterMessage.CLOSE, 0), (AdapterMessage.OPEN, 500_000)]
+    assert messages(host.received(answers)) == [(AdapterMessage.OPENED, 0)]
+    assert host.sent(CLOSE_BUS) == b"C\r"
+    assert messages(adapter.received(b"C\r")[0]) == [(AdapterMessage.CLOSE, 0)]
+
+
+def test_the_first_line_may_be_cut_and_the_rest_is_decoded():
+    whole = encode(CanFrame(0x185, b"1234"))
+    for at in range(1, len(whole)):
+        host = HostText()
+        assert host.received(whole[at:] + whole) == record_of(CanFrame(0x185, b"1234"))
+        assert messages(host.received(whole[3:] + whole)) == [(AdapterMessage.DAMAGED, 1)]
+        assert messages(host.received(b"tq\rt12\r")) == [(AdapterMessage.DAMAGED, 2)]
+
+
+def test_damaged_records_are_a_damaged_line():
+    assert AdapterText().sent(b"x" * 30 + record_of(CanFrame(1))) == b"?\rt0010\r"
+
+
+REFUSED, OPENED, CLOSED = AdapterMessage.REFUSED, AdapterMessage.OPENED, AdapterMessage.OPEN_REFUSED
+
+
+@pytest.mark.parametrize(
+    ("orders", "answers", "found"),
+    [
+        (b"", b"\x07", [(REFUSED, 1)]),
+        (b"", b"\r\r\x07\x07", [(REFUSED, 2)]),
+        (CLOSE_BUS, b"\x07", []),  # it was closed already
+        (CLOSE_BUS, b"\x07\x07", [(REFUSED, 1)]),
+        (open_bus(250_000), b"\r\x07\r\r", [(OPENED, 0)]),
+        (open_bus(250_000), b"\r\x07\r\x07\x07", [(CLOSED, 0), (REFUSED, 1)]),
+        (open_bus(250_000), b"z\r\x07", [(REFUSED, 1)]),  # a frame was sent: the bus is open
+        (open_bus(250_000), b"Z\r\x07\x07", [(REFUSED, 2)]),
+    ],
 )
+def test_refusals_are_those_beyond_the_orders(orders, answers, found):
+    host = joined()
+    host.sent(orders)
+    assert messages(host.received(answers)) == found
 
 
-@given(st.lists(READS, max_size=5), st.booleans())
-def test_arrays_have_the_content_of_the_lines_read_one_by_one(reads, of_host):
-    lines, block, either = (LineDecoder(of_host=of_host) for _ in range(3))
-    for data in reads:
-        expected, found = lines.feed(data), block.feed_block(data)
-        assert found.frames() == expected.frames
-        assert either.feed_any(data) == expected
-        assert len(found) == len(expected.frames)
-        assert (found.other_lines, found.damaged) == (expected.other_lines, expected.damaged)
-        assert not any(row[length:].any() for row, length in zip(found.data, found.length, strict=True))
+def test_an_adapter_that_answers_no_order_is_not_excused_for_ever():
+    host = joined()
+    host.sent(open_bus(500_000))
+    host.received(encode(CanFrame(0x185)))
+    assert messages(host.received(b"\x07\x07")) == [(REFUSED, 2)]
+
+
+def test_a_refusal_at_the_start_of_a_log_is_one():
+    assert messages(HostText().received(b"\x07")) == [(REFUSED, 1)]
+
+
+def test_messages_of_the_adapter_are_no_text():
+    assert AdapterText().sent(adapter_message(OPENED)) == b""

@@ -29,7 +29,7 @@ from daq.drivers.xbee.settings import XBeeNode
 from daq.drivers.xbee.stream import XBeePipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices
@@ -55,7 +55,7 @@ def values(items: Items, name: str) -> list[Any]:
 
 
 def drive_line(identifier: int, data: bytes) -> bytes:
-    return slcan.encode(slcan.CanFrame(identifier, data))
+    return encode(CanFrame(identifier, data))
 
 
 def test_a_report_has_the_target_that_was_sent_or_seen_before_it() -> None:
@@ -82,7 +82,7 @@ def test_a_state_is_reported_when_it_changes() -> None:
     pipeline = DrivePipeline("drive", DRIVE)
     words = (0x0637, 0x0237, 0x0637, 0x0633, 0x0608, 0x0608)
     data = b"".join(drive_line(cia301.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(word, 0)) for word in words)
-    found = events(pipeline.feed(RX, b"\r" + data, START_NS))
+    found = events(pipeline.feed(RX, data, START_NS))
     assert [(event.kind, event.text) for event in found] == [
         ("drive", "OPERATION ENABLED"),
         ("drive", "SWITCHED ON"),
@@ -98,48 +98,11 @@ def test_a_drive_without_reports_has_described_itself() -> None:
     assert (pipeline.has_reported, pipeline.complaint) == (True, "")
 
 
-def test_damaged_lines_are_counted_and_reported() -> None:
-    pipeline = DrivePipeline("drive", DRIVE)
-    assert pipeline.feed(RX, b"xx\r", START_NS) == []  # the log begins within a line
-    (event,) = pipeline.feed(RX, b"xx\rt12\r\r", START_NS)
-    assert isinstance(event, DeviceEvent)
-    assert (event.kind, event.facts) == ("damage", {"lines": 2})
-    assert pipeline.losses == {"damaged_lines": 2, "refused_lines": 0}
-
-
 @pytest.mark.parametrize("count", [7, 8])
 def test_an_emergency_has_eight_bytes(count: int) -> None:
     identifier = cia301.cob_emergency(DRIVE.node_id)
-    found = DrivePipeline("drive", DRIVE).feed(
-        RX, b"\r" + drive_line(identifier, bytes.fromhex("3081010000000000")[:count]), 0
-    )
+    found = DrivePipeline("drive", DRIVE).feed(RX, drive_line(identifier, bytes.fromhex("3081010000000000")[:count]), 0)
     assert [event.text for event in events(found)] == ["drive error 0x8130"] * (count == 8)
-
-
-@pytest.mark.parametrize(
-    ("orders", "answers", "refused"),
-    [
-        (b"", b"\x07", 1),
-        (b"O\r", b"\x07", 0),
-        (b"O\r", b"\x07\x07", 1),
-        (b"C\rO\r", b"\r\x07\x07", 1),
-        (b"C\rO\r", b"z\r\x07", 1),
-        (b"C\rO\r", b"Z\r\x07", 1),
-        (b"", b"\r\r\x07\x07", 2),
-    ],
-)
-def test_refusals_of_frames_are_those_beyond_the_orders(orders: bytes, answers: bytes, refused: int) -> None:
-    pipeline = DrivePipeline("drive", DRIVE)
-    pipeline.feed(RX, b"\r", 0)
-    pipeline.feed(TX, orders, 0)
-    assert [event.facts for event in events(pipeline.feed(RX, answers, 0))] == [{"lines": refused}] * (refused > 0)
-    assert pipeline.losses["refused_lines"] == refused
-
-
-def test_a_refusal_at_the_start_of_a_log_is_one() -> None:
-    """No command to the adapter was seen to which it could be the answer."""
-    pipeline = DrivePipeline("drive", DRIVE)
-    assert [event.facts for event in events(pipeline.feed(RX, b"\x07", 0))] == [{"lines": 1}]
 
 
 # --- VESC ------------------------------------------------------------------------------------------------------

@@ -22,8 +22,9 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError
-from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import HostClock, slcan
+from daq.items import RX, Batch, DeviceEvent
+from daq.transports import HostClock
+from daq.transports.can_frames import CanFrame, decode, encode
 from rig_configs import load_rig
 from tests.effort import cases
 
@@ -536,7 +537,7 @@ def heard(*frames: tuple[int, bytes]) -> list[DeviceEvent]:
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     found: list[Batch | DeviceEvent] = []
     for number, (identifier, data) in enumerate(frames):
-        found += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS + number)
+        found += pipeline.feed(RX, encode(CanFrame(identifier, data)), START_NS + number)
     return [item for item in found if isinstance(item, DeviceEvent)]
 
 
@@ -561,18 +562,18 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     report = cia402.pack_tpdo1(0x0627, 600)
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     others = [
-        slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
-        slcan.CanFrame(cia301.cob_tpdo(1, node), bytes(4), remote=True),
-        slcan.CanFrame(cia301.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
-        slcan.CanFrame(cia301.cob_heartbeat(node), b"\x00", extended=True),
-        slcan.CanFrame(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
+        CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
+        CanFrame(cia301.cob_tpdo(1, node), bytes(4), remote=True),
+        CanFrame(cia301.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
+        CanFrame(cia301.cob_heartbeat(node), b"\x00", extended=True),
+        CanFrame(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
     ]
-    own = slcan.CanFrame(cia301.cob_tpdo(1, node), report)
+    own = CanFrame(cia301.cob_tpdo(1, node), report)
     control = DriveControl(DEVICES["drive"], lambda data: None, HostClock())
     items = []
     for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
-        items += pipeline.feed(RX, slcan.encode(frame), START_NS + k)
-        control.take_frames(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
+        items += pipeline.feed(RX, encode(frame), START_NS + k)
+        control.take_frames(decode(encode(frame)).frames)
         assert (control.state, control.actual_rpm, control.emergencies) == (cia402.state(0x0627), 600.0, [])
     batches = [x for x in items if isinstance(x, Batch)]
     assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6
@@ -585,7 +586,7 @@ def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     items = []
     for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
-        items += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS)
+        items += pipeline.feed(RX, encode(CanFrame(identifier, data)), START_NS)
     assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
     assert [x.kind for x in items if isinstance(x, DeviceEvent)] == ["drive", "mapping"]
     assert "have 2 bytes" in pipeline.complaint
@@ -596,39 +597,3 @@ def test_an_emergency_keeps_its_makers_bytes() -> None:
     with_bytes, without = heard((identifier, bytes.fromhex("1042 11 0102030405")), (identifier, bytes(8)))
     assert with_bytes.facts == {"error_code": 0x4210, "register": 0x11, "maker_bytes": "01 02 03 04 05"}
     assert without.facts == {"error_code": 0, "register": 0}
-
-
-def test_frames_that_the_adapter_refused_are_counted_and_its_own_orders_are_not() -> None:
-    """BEL answers a frame that did not go out, and an order that cannot be now: the bus is closed already."""
-    pipeline = DrivePipeline("drive", DEVICES["drive"])
-    speed = slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, DEVICES["drive"].node_id), cia402.pack_rpdo1(0x0F, 99)))
-    pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
-    assert pipeline.feed(RX, b"\r\x07\r\r", START_NS) == []  # it was closed
-    pipeline.feed(TX, speed * 3, START_NS)
-    (event,) = pipeline.feed(RX, b"z\r\x07\x07", START_NS)
-    assert isinstance(event, DeviceEvent)
-    assert (event.kind, event.facts) == ("refused", {"lines": 2})
-    assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
-    pipeline.feed(TX, b"C\r", START_NS)
-    assert pipeline.feed(RX, b"\x07", START_NS) == []
-
-
-def test_an_adapter_that_answers_no_order_is_not_excused_for_ever() -> None:
-    pipeline = DrivePipeline("drive", DEVICES["drive"])
-    node = DEVICES["drive"].node_id
-    pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
-    pipeline.feed(RX, slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x237, 0))), START_NS)
-    pipeline.feed(RX, b"\x07\x07", START_NS)
-    assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
-
-
-@pytest.mark.parametrize("at", range(12))
-def test_a_log_may_begin_in_a_line_and_only_there(at: int) -> None:
-    report = slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, DEVICES["drive"].node_id), cia402.pack_tpdo1(0x237, 300)))
-    data = report[5:] + report + report[3:] + report  # the third one has lost its beginning
-    for cuts in ([at], [at, 3], range(1, len(data))):
-        pipeline = DrivePipeline("drive", DEVICES["drive"])
-        ends = sorted({0, *cuts, len(data)})
-        items = [item for a, b in itertools.pairwise(ends) for item in pipeline.feed(RX, data[a:b], START_NS)]
-        assert sum(len(item.time_ns) for item in items if isinstance(item, Batch)) == 2
-        assert pipeline.losses == {"damaged_lines": 1, "refused_lines": 0}

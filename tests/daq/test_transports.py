@@ -17,10 +17,11 @@ import can
 import pytest
 
 from daq.errors import LinkLost
-from daq.transports import HostClock, Link, open_link, slcan
+from daq.transports import HostClock, Link, open_link
+from daq.transports.can_frames import CanFrame, FrameDecoder, encode
 from daq.transports.wires import PtyWire, TcpWire
 
-FRAME = slcan.encode(slcan.CanFrame(0x185, b"\x37\x02\x10\x00"))
+FRAME = encode(CanFrame(0x185, b"\x37\x02\x10\x00"))
 
 
 @dataclass
@@ -43,7 +44,7 @@ def _wired(wire: Any) -> Peer:
 def _can() -> Peer:
     far = can.Bus(interface="virtual", channel="contract")
     link = open_link("can:virtual:contract", 0)
-    decoder = slcan.LineDecoder()
+    decoder = FrameDecoder()
 
     def send(data: bytes) -> None:
         for frame in decoder.feed(data).frames:
@@ -51,7 +52,7 @@ def _can() -> Peer:
 
     def receive() -> bytes:
         message = far.recv(1.0)
-        return b"" if message is None else slcan.encode(slcan.CanFrame(message.arbitration_id, bytes(message.data)))
+        return b"" if message is None else encode(CanFrame(message.arbitration_id, bytes(message.data)))
 
     return Peer(link, send, receive, None, far.shutdown)
 

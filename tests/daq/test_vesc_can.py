@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
-from daq.drivers.can_lines import CLOSE_BUS, OtherHost
+from daq.drivers.can_lines import OtherHost
 from daq.drivers.contract import Driver
 from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc_can import wire
@@ -21,10 +21,10 @@ from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.stream import can_pipeline
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import slcan
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CLOSE_BUS, AdapterMessage, CanFrame, adapter_message, encode, open_bus
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
+from tests.daq.can_text import rx
 
 MS = 1_000_000
 FIRMWARE = vesc.pack_firmware(vesc.Firmware(6, 5, "60_MK5", "2a0041000a51353338363731"))
@@ -36,7 +36,7 @@ def controller(**settings: Any) -> VescCan:
 
 
 def text(*frames: CanFrame) -> bytes:
-    return b"".join(slcan.encode(frame) for frame in frames)
+    return encode(*(frame for frame in frames))
 
 
 def extended(arbitration_id: int, data: str) -> CanFrame:
@@ -61,14 +61,14 @@ def rows(items: list[Batch | DeviceEvent]) -> list[tuple[float, float]]:
 def test_commands_are_those_of_the_documents() -> None:
     """Vector: a current of 51 A to controller 23 is published; the others follow from the table of commands."""
     assert wire.simple(wire.SET_CURRENT, 23, 51_000) == extended(0x0117, "0000C738")
-    assert slcan.encode(wire.simple(wire.SET_CURRENT, 23, 51_000)) == b"T0000011740000C738\r"
+    assert encode(wire.simple(wire.SET_CURRENT, 23, 51_000)) == rx(b"T0000011740000C738\r")
     commands = wire.CanCommands(23, 253)
-    assert commands.set_rpm(3000) == b"T00000317400000BB8\r"
-    assert commands.set_rpm(-1) == b"T000003174FFFFFFFF\r"
-    assert commands.set_brake(5.0) == b"T00000217400001388\r"
-    assert commands.release() == b"T00000117400000000\r"
-    assert commands.get_values() == b"T000008173FD0004\r"
-    assert commands.firmware_version() == b"T000008173FD0000\r"
+    assert commands.set_rpm(3000) == rx(b"T00000317400000BB8\r")
+    assert commands.set_rpm(-1) == rx(b"T000003174FFFFFFFF\r")
+    assert commands.set_brake(5.0) == rx(b"T00000217400001388\r")
+    assert commands.release() == rx(b"T00000117400000000\r")
+    assert commands.get_values() == rx(b"T000008173FD0004\r")
+    assert commands.firmware_version() == rx(b"T000008173FD0000\r")
 
 
 def test_a_status_is_that_of_the_documents() -> None:
@@ -467,7 +467,7 @@ def test_an_error_of_the_opening_names_what_is_on_the_bus() -> None:
 def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
     class Refusing(SimulatedVescCan):
         def receive(self, data: bytes, now_s: float) -> bytes:
-            return b"".join({b"": b"\r", b"C": b"\a", b"S6": b"\r"}.get(line, b"\a") for line in data.split(b"\r")[:-1])
+            return adapter_message(AdapterMessage.OPEN_REFUSED)
 
     with running() as bench:
         bench.far = Refusing.of(controller(), bench.world)
@@ -496,7 +496,7 @@ def test_the_rate_of_the_status_messages_is_checked(set_Hz: float, stated_Hz: fl
 def test_the_stand_in_for_playing_accepts_any_identity(identity: dict[str, Any]) -> None:
     played = DRIVER.played(controller(), identity)
     assert not played.sending
-    played.hear(b"\rC\rS6\rO\r")
+    played.hear(open_bus(500_000))
     assert played.sending
     pipeline = can_pipeline("drive", controller())
     query = wire.CanCommands(23, 253).firmware_version()

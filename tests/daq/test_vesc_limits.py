@@ -17,7 +17,8 @@ from daq.drivers.vesc_can import wire as can
 from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.stream import VescCanPipeline, can_pipeline
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import AdapterMessage, CanFrame, adapter_message, encode, open_bus
+from tests.daq.can_text import rx
 from tests.daq.motor_rows import rows
 
 MS = 1_000_000
@@ -272,7 +273,7 @@ def test_other_events_of_a_read_do_not_hide_a_restart() -> None:
     line.feed(RX, can_answer(), 0)
     found: list[list[str]] = []
     for n in range(1, 30):
-        damaged = b"tq\r" if n == 9 else b""
+        damaged = rx(b"tq\r") if n == 9 else b""
         found.append(kinds(line.feed(RX, damaged + can_answer(replace(TURNS, turned=1000 - n)), n * 20 * MS)))
     assert found[8] == ["damage", "restart"]
     assert found[23] == ["status", "restart"], "the 25th answer, after half a second"
@@ -343,14 +344,12 @@ def test_the_status_of_other_controllers_is_a_reply_while_the_query_is_not_answe
 
 
 def test_an_adapter_that_refuses_to_open_the_bus_is_one_reply_while_the_query_is_not_answered() -> None:
-    line = on_bus()
-    line.feed(RX, b"\r", 0)
-    line.feed(TX, b"O\r", 0)
-    assert line.feed(RX, b"\a", 0) == [], "no query is open"
+    line, other = on_bus(), encode(CanFrame(0x7E5))
+    line.feed(TX, open_bus(500_000), 0)
+    assert line.feed(RX, adapter_message(AdapterMessage.OPEN_REFUSED), 0) == [], "no query is open"
     line.feed(TX, text(QUERY), 0)
-    assert events(line.feed(RX, b"z\r", 0)) == [("reply", "the adapter refused to open the bus", {})]
-    assert line.feed(RX, b"z\r", 0) == []
+    assert events(line.feed(RX, other, 0)) == [("reply", "the adapter refused to open the bus", {})]
+    assert line.feed(RX, other, 0) == []
     opened = on_bus()
-    opened.feed(RX, b"\r", 0)
-    opened.feed(TX, b"O\r" + text(QUERY), 0)
-    assert opened.feed(RX, b"\r", 0) == []
+    opened.feed(TX, open_bus(500_000) + text(QUERY), 0)
+    assert opened.feed(RX, adapter_message(AdapterMessage.OPENED), 0) == []

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame
 
 COB_NMT, COB_SYNC = 0x000, 0x080
 """Identifiers of network commands and of SYNC."""

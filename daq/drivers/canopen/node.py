@@ -1,4 +1,4 @@
-"""A CANopen node's end of the bus behind an slcan adapter: its answers to a host, independent of the kind of device.
+"""A CANopen node's end of the bus: its answers to a host, independent of the kind of device.
 
 Used by the simulated drive and by the stand-in for a drive of a log. `SdoServer` answers reads and writes of objects
 (expedited transfers), `NmtState` follows the network commands. Source: CiA 301, SDO protocol and NMT.
@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Mapping
 
 from daq.drivers.canopen import cia301
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame
 
 Objects = dict[tuple[int, int], tuple[int, str]]
 """Value and struct format of each object by index and sub-index."""
@@ -99,7 +99,7 @@ class NmtState:
         self.state: cia301.Heartbeat = cia301.Heartbeat.PRE_OPERATIONAL
         self._node = node
 
-    def follow(self, frame: slcan.CanFrame) -> int | None:
+    def follow(self, frame: CanFrame) -> int | None:
         """Take a frame; return its command if it is a network command for this node, otherwise None."""
         if frame.arbitration_id != 0 or len(frame.data) != 2 or frame.data[1] not in (0, self._node):
             return None

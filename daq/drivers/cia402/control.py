@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 
-from daq.drivers.can_lines import CLOSE_BUS, FirstContact, open_bus
+from daq.drivers.can_lines import FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import NodeObjects
@@ -20,7 +20,7 @@ from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.run_down import wait_for_rest
 from daq.errors import DeviceError, LinkLost
-from daq.transports import slcan
+from daq.transports.can_frames import CLOSE_BUS, CanFrame, open_bus
 from daq.transports.host_clock import HostClock, Repeated
 from rig_basics.ignoring import ignoring
 
@@ -101,7 +101,7 @@ class DriveControl:
         assert isinstance(pipeline, DrivePipeline)
         self.take_frames(pipeline.frames)
 
-    def take_frames(self, frames: list[slcan.CanFrame]) -> None:
+    def take_frames(self, frames: list[CanFrame]) -> None:
         """Take frames from the drive."""
         node, report = self._config.node_id, self._report
         for frame in cia301.own_frames(frames):

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.objects import NodeObjects, no_answer
+from daq.drivers.canopen.objects import NoAnswer, NodeObjects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import MODE_PROFILE_VELOCITY, SpeedProfile
 from daq.errors import DeviceError
@@ -94,9 +94,9 @@ def _demand(write: Callable[[], None], remedy: Callable[[], str]) -> None:
     """Write a setting; the error about a refusal contains what to do."""
     try:
         write()
+    except NoAnswer:
+        raise
     except DeviceError as error:
-        if no_answer(error):
-            raise
         raise DeviceError(f"{error}. {remedy()}") from error
 
 

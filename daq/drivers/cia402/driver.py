@@ -84,7 +84,7 @@ class Cia402(PlainDriver):
         self, settings: MotorDrive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedControl:
         """See TurnsRotor."""
-        from daq.drivers.cia402.control import DriveControl  # imports canopen
+        from daq.drivers.cia402.control import DriveControl
 
         return DriveControl(settings, send, clock, guard)
 

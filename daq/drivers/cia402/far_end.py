@@ -28,7 +28,7 @@ from daq.drivers.cia402.profile import (
 )
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.simulated import FarEnd, FaultKind
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
@@ -105,7 +105,7 @@ class SimulatedDrive(FarEnd):
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", self._objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
         self._sdo = SdoServer(self._objects, measured, self._written)
-        self._out: list[slcan.CanFrame] = []
+        self._out: list[CanFrame] = []
         self._restart()
 
     def _initial_objects(self) -> Objects:
@@ -156,7 +156,7 @@ class SimulatedDrive(FarEnd):
     def _restart(self) -> None:
         self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0.0, None
         self._nmt.state = cia301.Heartbeat.PRE_OPERATIONAL
-        self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP])))
+        self._out.append(CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP])))
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the drive; the adapter is supplied by the host and continues.
@@ -172,7 +172,7 @@ class SimulatedDrive(FarEnd):
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)
         data = cia301.pack_emergency(cia301.Emergency(code, 0x11 if code else 0, bytes(5)))
-        self._out.append(slcan.CanFrame(cia301.cob_emergency(self._node), data))
+        self._out.append(CanFrame(cia301.cob_emergency(self._node), data))
 
     @property
     def watchdog_ms(self) -> int:
@@ -198,23 +198,23 @@ class SimulatedDrive(FarEnd):
         return self._motion.speed_rad_s / RPM
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take slcan text from the host; return the adapter's answers."""
-        frames, answers = self._adapter.receive(data)
+        """See FarEnd."""
+        frames = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             self._frame(frame, now_s)
-        return answers + self._take()
+        return self._take()
 
     def _take(self) -> bytes:
         frames, self._out = self._out, []
         self.frames_sent += len(frames) * self._adapter.open
         return self._adapter.pass_on(frames)
 
-    def _frame(self, frame: slcan.CanFrame, now_s: float) -> None:
+    def _frame(self, frame: CanFrame, now_s: float) -> None:
         identifier, data = frame.arbitration_id, frame.data
         if (command := self._nmt.follow(frame)) is not None:
             self._react(command)
         elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
-            self._out.append(slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data)))
+            self._out.append(CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data)))
         elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
             if self._nmt.state == cia301.Heartbeat.OPERATIONAL:
                 control, self._target_rpm = self._profile.unpack(data)
@@ -230,7 +230,7 @@ class SimulatedDrive(FarEnd):
             self._quick_stop()
         if command in resets:
             self._heard_s = None
-            self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), b"\x00"))
+            self._out.append(CanFrame(cia301.cob_heartbeat(self._node), b"\x00"))
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (cia402.CONTROLWORD, 0):
@@ -296,7 +296,7 @@ class SimulatedDrive(FarEnd):
         if not self._second_host or now_s < self._second_due_s:
             return
         self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # the other node has its own clock
-        beat = slcan.CanFrame(cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL]))
+        beat = CanFrame(cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL]))
         self._out.append(beat)
         self._frame(beat, now_s)
 
@@ -313,11 +313,11 @@ class SimulatedDrive(FarEnd):
         every = self._objects[0x1017, 0][0] * 1e-3
         if every and now_s >= self._heartbeat_due:
             self._heartbeat_due = max(self._heartbeat_due + every, now_s - every)
-            self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([self._nmt.state])))
+            self._out.append(CanFrame(cia301.cob_heartbeat(self._node), bytes([self._nmt.state])))
         if self._nmt.state != cia301.Heartbeat.OPERATIONAL or not self._reports:
             self._tpdo_due = now_s
             return
         while now_s >= self._tpdo_due:
             self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _MAX_LATE_S)
             data = self._profile.pack(self._statusword, self._reported_rpm)
-            self._out.append(slcan.CanFrame(cia301.cob_tpdo(1, self._node), data))
+            self._out.append(CanFrame(cia301.cob_tpdo(1, self._node), data))

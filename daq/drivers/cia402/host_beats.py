@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from daq.drivers.canopen import cia301
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame
 
 ECHO_S = 0.03
 """Host time within which an adapter echoes a frame, s, as long as it is not known whether it echoes."""

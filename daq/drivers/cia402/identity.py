@@ -32,7 +32,7 @@ def identity_turns(settings: MotorDrive) -> IdentityTurns:
     device = None
     if found.nodes:
         node, *others = found.nodes
-        identity = yield from identity_of(node)
+        identity = yield from identity_of(settings.port, node)
         if others:
             identity["other_nodes"] = ", ".join(map(str, others))
         bitrate = {} if found.bitrate is None else {"bitrate": found.bitrate}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import struct
 
 from daq.drivers.can_lines import Adapter, BothWays
@@ -18,7 +17,7 @@ from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.played import PlayedDevice
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, decode, encode
 
 
 class PlayedDrive(PlayedDevice):
@@ -36,11 +35,7 @@ class PlayedDrive(PlayedDevice):
         self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
         self._profile = profile_of(config)
-        size = self._profile.size
-        self._report = re.compile(
-            f"t{cia301.cob_tpdo(1, config.node_id):03X}[{size}-8]([0-9A-Fa-f]{{{2 * size}}})".encode()
-        )
-        self._reported = bytes(size)
+        self._reported = bytes(self._profile.size)
         objects = self._objects = drive_objects(config.node_id, self._profile)
         measured = {
             (cia402.STATUSWORD, 0): lambda: self._reported[:2],
@@ -60,23 +55,24 @@ class PlayedDrive(PlayedDevice):
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. Commands to the adapter alone do not count as commands to the drive."""
-        frames, answers = self._adapter.receive(data)
+        frames = self._adapter.receive(data)
         self.commands += len(frames)
         self._bus.host_is_there |= any(frame.arbitration_id == self._host_beat for frame in frames)
-        sent = b"".join(slcan.encode(answer) for frame in frames if (answer := self._answer(frame)) is not None)
-        return answers + sent if self._adapter.open else answers
+        sent = encode(*(answer for frame in frames if (answer := self._answer(frame)) is not None))
+        return sent if self._adapter.open else b""
 
     def _pass(self, data: bytes) -> bytes:
-        if reports := self._report.findall(data):
-            self._reported = bytes.fromhex(reports[-1].decode())
+        for frame in decode(data).frames:
+            if frame.arbitration_id == cia301.cob_tpdo(1, self._node) and len(frame.data) >= self._profile.size:
+                self._reported = frame.data[: self._profile.size]
         return super()._pass(data)
 
-    def _answer(self, frame: slcan.CanFrame) -> slcan.CanFrame | None:
+    def _answer(self, frame: CanFrame) -> CanFrame | None:
         identifier, data = frame.arbitration_id, frame.data
         if self._nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            return slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
+            return CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
         if identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
-            return slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
+            return CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
         if identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
             form = self._objects[self._profile.target, 0][1]
             self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
-from daq.drivers.canopen.objects import NodeObjects, no_answer
+from daq.drivers.canopen.objects import NoAnswer, NodeObjects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
 from daq.errors import DeviceError, LinkLost
@@ -90,9 +90,9 @@ def map_process_data(
             state.set_period(objects)
         _map_all(objects, found)
         return any(state.needs_requests for state in found)
+    except NoAnswer:
+        raise
     except DeviceError as error:
-        if no_answer(error):
-            raise
         raise DeviceError(
             f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed "
             f"(6040h, {profile.target:04X}h), {cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, "

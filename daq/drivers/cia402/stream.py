@@ -1,4 +1,4 @@
-"""Pipeline of a CiA 402 drive: slcan text to speed, state and emergencies."""
+"""Pipeline of a CiA 402 drive: frames to speed, state and emergencies."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.items import TX, Batch, DeviceEvent
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
 
 _AGAIN_NS = 1_000_000_000
 
 
 class DrivePipeline:
-    """Decoder of slcan text to the drive's speed, state and emergencies. A drive has no clock: samples get host time.
+    """Decoder of frames to the drive's speed, state and emergencies. A drive has no clock: samples get host time.
 
     The target speed is in the frames that the host sends, or, in a session that only receives, among the received
     frames. Frames are handled one by one in their order, so that both sessions give the same samples.
@@ -39,7 +39,7 @@ class DrivePipeline:
     def __init__(self, device: str, config: MotorDrive) -> None:
         self.losses: dict[str, int] = {}
         self._lines = CanLines(device, self.losses)
-        self.frames: list[slcan.CanFrame] = []
+        self.frames: list[CanFrame] = []
         self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
         self._profile = profile_of(config)
@@ -99,7 +99,7 @@ class DrivePipeline:
         )
         yield DeviceEvent("fault", self._device, text, {"foreign_heartbeats": self.host_beats.foreign})
 
-    def _short(self, frame: slcan.CanFrame) -> DeviceEvent:
+    def _short(self, frame: CanFrame) -> DeviceEvent:
         """Return the event about a report that is too short for statusword and speed; reported once."""
         self.complaint = (
             f"its reports (TPDO1) have {number_of(len(frame.data), 'byte')}; statusword and actual speed are "
@@ -107,11 +107,11 @@ class DrivePipeline:
         )
         return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
-    def _take_target(self, frame: slcan.CanFrame) -> None:
+    def _take_target(self, frame: CanFrame) -> None:
         if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == self._profile.size:
             self._target_rpm = self._profile.unpack(frame.data)[1]
 
-    def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | DeviceEvent]:
+    def _heartbeat(self, frame: CanFrame) -> list[Batch | DeviceEvent]:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
         state = cia301.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from daq.drivers.can_lines import open_bus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import DialogueObjects, NodeObjects
@@ -18,6 +17,7 @@ from daq.drivers.cia406.report_setup import restoring, set_reports
 from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 from daq.drivers.contract import Talk
 from daq.errors import DeviceError
+from daq.transports.can_frames import open_bus
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)

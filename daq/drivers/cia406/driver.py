@@ -96,7 +96,7 @@ class Cia406(PlainDriver):
 
     def prepare(self) -> None:
         """See Driver."""
-        importlib.import_module("daq.drivers.cia406.dialogue")  # imports canopen
+        importlib.import_module("daq.drivers.cia406.dialogue")
 
     def open(self, device: str, settings: EncoderBus, talk: Talk) -> dict[str, Any]:
         """See Driver."""
@@ -106,7 +106,7 @@ class Cia406(PlainDriver):
 
     def stop(self, talk: Talk) -> None:
         """See Driver: the bus is closed at the adapter. The host's SYNC has ended, so the encoders sample no more."""
-        from daq.drivers.can_lines import CLOSE_BUS
+        from daq.transports.can_frames import CLOSE_BUS
 
         talk.send(CLOSE_BUS)
 

@@ -18,7 +18,7 @@ from daq.drivers.canopen.node import NMT_RESET, NMT_RESET_COMMUNICATION, NmtStat
 from daq.drivers.cia406.node_objects import TURNS, encoder_objects
 from daq.drivers.cia406.settings import Encoder, EncoderBus
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.texts import number_of
 
@@ -61,7 +61,7 @@ class SimulatedEncoder:
         self.dead: bool = False
         self.frozen: bool = False
         self.deaf_to_sync: int = 0
-        self.out: list[slcan.CanFrame] = []
+        self.out: list[CanFrame] = []
         self._encoder, self._settings = encoder, settings
         self._zero_error_rad, self._noise = zero_error_rad, noise_counts
         self._clock, self._rng = clock, rng
@@ -83,7 +83,7 @@ class SimulatedEncoder:
         self._sync_count = 0
         self._next: int | None = None
         self._syncs = 0
-        self.out.append(slcan.CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
+        self.out.append(CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
 
     @property
     def objects(self) -> dict[tuple[int, int], tuple[int, str]]:
@@ -101,7 +101,7 @@ class SimulatedEncoder:
         self.objects[cia301.ERROR_REGISTER, 0] = (register, "<B")
         self.objects[cia301.PREDEFINED_ERROR_FIELD, 0] = (int(code > 0), "<B")
         self.objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
-        self.out.append(slcan.CanFrame(0x080 + self.node, struct.pack("<HB5x", code, register)))
+        self.out.append(CanFrame(0x080 + self.node, struct.pack("<HB5x", code, register)))
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (0x6200, 0):  # the same timer
@@ -109,7 +109,7 @@ class SimulatedEncoder:
         if (index, sub) == (0x1800, 5):
             self.objects[0x6200, 0] = (value, "<H")
 
-    def take(self, frame: slcan.CanFrame) -> None:
+    def take(self, frame: CanFrame) -> None:
         """Take a frame of the bus."""
         if self.dead:
             return
@@ -117,7 +117,7 @@ class SimulatedEncoder:
         if command in (NMT_RESET, NMT_RESET_COMMUNICATION):
             self.start()
         elif frame.arbitration_id == 0x600 + self.node and len(frame.data) == 8:
-            self.out.append(slcan.CanFrame(0x580 + self.node, self._sdo.answer(frame.data)))
+            self.out.append(CanFrame(0x580 + self.node, self._sdo.answer(frame.data)))
         elif frame.arbitration_id == self.objects[0x1005, 0][0] & 0x7FF:
             if self.deaf_to_sync:
                 self.deaf_to_sync -= 1
@@ -134,15 +134,15 @@ class SimulatedEncoder:
         if self.dead or not every_s or now_s < self._beat_due_s:
             return
         self._beat_due_s = max(self._beat_due_s + every_s, now_s)
-        self.out.append(slcan.CanFrame(0x700 + self.node, bytes([self._nmt.state])))
+        self.out.append(CanFrame(0x700 + self.node, bytes([self._nmt.state])))
 
-    def due(self, motion: MotionInterval) -> list[tuple[float, slcan.CanFrame]]:
+    def due(self, motion: MotionInterval) -> list[tuple[float, CanFrame]]:
         """Return the reports of an interval of motion with their instants, rig s.
 
         The rig passes the host's bytes on at the end of the interval in which they came.
         """
         syncs, self._syncs = self._syncs, 0
-        out: list[tuple[float, slcan.CanFrame]] = []
+        out: list[tuple[float, CanFrame]] = []
         own = self._own_instants(motion)
         if not self._operational:
             return out
@@ -172,12 +172,12 @@ class SimulatedEncoder:
         numbers = np.arange(begin, last + 1)
         return [float(at_s) for at_s in self._clock.rig_s(numbers * period_s)]
 
-    def _report(self, number: int, identifier: int, motion: MotionInterval, at_s: float) -> slcan.CanFrame:
+    def _report(self, number: int, identifier: int, motion: MotionInterval, at_s: float) -> CanFrame:
         if not self.frozen:
             self._position = self._read(motion, at_s)
         mapped = [self.objects[0x1A00 + number, 1 + i][0] for i in range(self.objects[0x1A00 + number, 0][0])]
         data = b"".join(self._mapped(entry) for entry in mapped)
-        return slcan.CanFrame(identifier & 0x7FF, data)
+        return CanFrame(identifier & 0x7FF, data)
 
     def _mapped(self, entry: int) -> bytes:
         answer = self._sdo.answer(struct.pack("<BHBI", 0x40, entry >> 16, entry >> 8 & 0xFF, 0))
@@ -217,7 +217,7 @@ class SimulatedEncoders(FarEnd):
         self.encoders: list[SimulatedEncoder] = encoders
         self._adapter = Adapter()
         self._without_supply = self._second_master = False
-        self._foreign: list[slcan.CanFrame] = []
+        self._foreign: list[CanFrame] = []
 
     @classmethod
     def of(cls, device: str, settings: EncoderBus, world: World) -> SimulatedEncoders:
@@ -240,14 +240,14 @@ class SimulatedEncoders(FarEnd):
         return cls(made)
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take text from the host; return the adapter's answers and those of the encoders."""
-        frames, answers = self._adapter.receive(data)
+        """See FarEnd."""
+        frames = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             for encoder in self.encoders:
                 encoder.take(frame)
             if self._second_master and frame.arbitration_id == cia301.COB_SYNC:
                 self._foreign.append(frame)
-        return answers + self._take()
+        return self._take()
 
     def _take(self) -> bytes:
         frames = [frame for encoder in self.encoders for frame in encoder.out]
@@ -273,7 +273,7 @@ class SimulatedEncoders(FarEnd):
             for encoder in self.encoders:
                 encoder.take(frame)
         reports = sorted(due, key=lambda entry: (entry[0], entry[1].arbitration_id))
-        return b"".join(slcan.encode(frame) for frame in (*(frame for _, frame in reports), *foreign))
+        return encode(*(frame for frame in (*(frame for _, frame in reports), *foreign)))
 
     def fail(self, what: str, value: Any = 1) -> None:
         """See FarEnd and `fault_kinds`."""
@@ -286,7 +286,7 @@ class SimulatedEncoders(FarEnd):
                 self._of_number(number).start()
             case "stopped":
                 encoder = self._of_number(number)
-                encoder.take(slcan.CanFrame(0, bytes((2, encoder.node))))
+                encoder.take(CanFrame(0, bytes((2, encoder.node))))
             case "missed":
                 self.encoders[0].deaf_to_sync = number
             case "emergency":

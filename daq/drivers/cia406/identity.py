@@ -28,9 +28,9 @@ def identity_turns(settings: EncoderBus) -> IdentityTurns:
         known: dict[str, Any] = dict(zip(_NODES, nodes, strict=False))
         identity: dict[str, str] = {}
         for node in nodes:
-            serial = yield from read(node, cia301.IDENTITY, 4)
+            serial = yield from read(settings.port, node, cia301.IDENTITY, 4)
             identity[f"node_{node}"] = "no serial number" if serial is None else f"serial {serial}"
-        if (per_turn := (yield from _counts_per_revolution(nodes[0]))) is not None:
+        if (per_turn := (yield from _counts_per_revolution(settings.port, nodes[0]))) is not None:
             known["counts_per_revolution"] = per_turn
         if found.bitrate is not None:
             known["bitrate"] = found.bitrate
@@ -39,7 +39,7 @@ def identity_turns(settings: EncoderBus) -> IdentityTurns:
     return device
 
 
-def _counts_per_revolution(node: int) -> Generator[IdentityRequest, bytes, int | None]:
-    parameters = yield from read(node, wire.OPERATING_PARAMETERS, 0)
+def _counts_per_revolution(port: str, node: int) -> Generator[IdentityRequest, bytes, int | None]:
+    parameters = yield from read(port, node, wire.OPERATING_PARAMETERS, 0)
     scaled = bool((parameters or 0) & wire.SCALING)
-    return (yield from read(node, wire.UNITS_PER_TURN if scaled else wire.SINGLE_TURN_RESOLUTION, 0))
+    return (yield from read(port, node, wire.UNITS_PER_TURN if scaled else wire.SINGLE_TURN_RESOLUTION, 0))

@@ -11,7 +11,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.settings import FAULT_KEYS, Encoder
 from daq.items import DeviceEvent
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame
 
 _GENERIC_ERROR = 0x1000  # of an encoder that does not report which error it has
 _PATIENCE = 3.5  # periods without a heartbeat after which it is lost

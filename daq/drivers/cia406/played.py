@@ -13,7 +13,7 @@ from daq.drivers.cia406.node_objects import encoder_objects
 from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 from daq.drivers.played import PlayedDevice
 from daq.errors import LogError
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 
 _OTHER_OBJECT = 0x2000_0000  # entry of a PDO's mapping for a manufacturer-specific object, without its bits
 
@@ -53,14 +53,14 @@ class PlayedEncoders(PlayedDevice):
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. SYNC, and commands to the adapter alone, do not count as commands to the encoders."""
-        frames, answers = self._adapter.receive(data)
+        frames = self._adapter.receive(data)
         sent = b""
         for frame in frames:
             is_sync = frame.arbitration_id == cia301.COB_SYNC
             self.commands += not is_sync
             self._bus.host_is_there |= is_sync
-            sent += b"".join(slcan.encode(answer) for node in self._nodes for answer in node.answers(frame))
-        return answers + sent if self._adapter.open else answers
+            sent += encode(*(answer for node in self._nodes for answer in node.answers(frame)))
+        return sent if self._adapter.open else b""
 
 
 class _PlayedNode:
@@ -90,10 +90,10 @@ class _PlayedNode:
             objects[cia301.TPDO1_MAPPING, 2] = (wire.POSITION_MAPPED, "<I")
             self._sdo.fixed.add((cia301.TPDO1_MAPPING, 0))
 
-    def answers(self, frame: slcan.CanFrame) -> list[slcan.CanFrame]:
+    def answers(self, frame: CanFrame) -> list[CanFrame]:
         """Return the answers to a frame."""
         if self.nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            return [slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))]
+            return [CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))]
         if frame.arbitration_id == cia301.cob_sdo_request(self._node) and len(frame.data) == 8:
-            return [slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(frame.data))]
+            return [CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(frame.data))]
         return []

@@ -1,4 +1,4 @@
-"""Pipeline of CANopen encoders: slcan text to pendulum angles, index marks and events.
+"""Pipeline of CANopen encoders: frames to pendulum angles, index marks and events.
 
 With SYNC the time of a sample is that of the host's write of the SYNC, plus `sync_delay_s`; both angles are of the same
 instant. Without SYNC see `free_running`. The reports have no checksum beyond that of the CAN bus: text that is damaged
@@ -16,6 +16,7 @@ import numpy as np
 from daq import channels
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
+from daq.drivers.canopen.objects import answer_text
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
 from daq.drivers.cia406.known import offset_of, positions_of, sign_of
@@ -25,7 +26,7 @@ from daq.drivers.cia406.settings import EncoderBus
 from daq.drivers.cia406.sync_origin import SyncOrigin
 from daq.drivers.cia406.synchronous import SilentEncoders, SyncSchedule, SyncTimes
 from daq.items import TX, Batch, DeviceEvent
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
 
 Items = Iterator[Batch | DeviceEvent]
@@ -34,7 +35,7 @@ _AGAIN_NS = 1_000_000_000
 
 
 class EncoderPipeline:
-    """Decoder of the text of the adapter.
+    """Decoder of the frames of the bus.
 
     Attributes:
         losses: see Pipeline. "samples": samples of both angles that are missing although a SYNC was sent; "unsampled":
@@ -75,7 +76,7 @@ class EncoderPipeline:
         self._positions = {each.name: positions_of(each, per_turn, identity) for each in encoders}
         self._offsets = {each.name: offset_of(each, identity) for each in encoders}
         self._turns = {each.name: Turns(per_turn, each.zero_counts, sign_of(each, identity)) for each in encoders}
-        self._by_frame: dict[int, tuple[str, Callable[[str, slcan.CanFrame, int], Items]]] = {}
+        self._by_frame: dict[int, tuple[str, Callable[[str, CanFrame, int], Items]]] = {}
         for each in encoders:
             self._by_frame[cia301.cob_tpdo(1, each.node)] = each.name, self._report
             self._by_frame[cia301.cob_heartbeat(each.node)] = each.name, self._heartbeat
@@ -226,20 +227,20 @@ class EncoderPipeline:
 
     # --- messages of an encoder --------------------------------------------------------------------------------
 
-    def _reply(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+    def _reply(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         self._contacts[name].heard()
-        yield DeviceEvent("reply", self._device, slcan.encode(frame).decode().strip())
+        yield DeviceEvent("reply", self._device, answer_text(frame))
 
-    def _heartbeat(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+    def _heartbeat(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         watch = self._watches[name]
         yield from watch.heartbeat(frame, host_ns)
         if watch.restarted and not self.complaint:
             self.complaint = f"{watch.name} started again: its set-up is gone. Open the rig again"
 
-    def _emergency(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+    def _emergency(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         yield from self._watches[name].emergency(frame)
 
-    def _report(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+    def _report(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         self._contacts[name].heard()
         raw = wire.position(frame.data, self._offsets[name])
         wrong = ""

@@ -10,7 +10,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.settings import LATEST_S, EncoderBus
 from daq.drivers.polling import Request, RequestLoop
-from daq.transports import slcan
+from daq.transports.can_frames import FrameDecoder
 from daq.transports.host_clock import HostClock
 
 _ANSWERED = b"\r"
@@ -47,7 +47,7 @@ class SyncSender(RequestLoop):
         self._owing: set[int] = set()  # encoders from which two answers may come, the first one to the SYNC before
         self._given_up: dict[int, float] = {}  # wall times of the first answers to the SYNCs given up, by encoder, s
         self._misses = dict.fromkeys(self._expected, 0)
-        self._lines = slcan.LineDecoder()
+        self._lines = FrameDecoder()
         self._write = send
         self._first_s: float | None = None  # wall time of the first answer to the newest SYNC
         self._firsts: deque[float] = deque(maxlen=_ROUNDS)  # from the SYNC to the first answer, s

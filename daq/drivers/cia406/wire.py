@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass
 
 from daq.drivers.canopen import cia301
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 
 PROFILE = 406
 """Low 16 bits of 1000h (0196h). The high ones are the kind: 1 single-turn, 2 multi-turn absolute rotary encoder."""
@@ -32,7 +32,7 @@ EVERY_SYNC, OWN_TIMER = 1, 254
 """Transmission types: at each SYNC; by the node's own event timer, as the profile defines."""
 POSITION_BYTES = 4
 
-SYNC = slcan.encode(slcan.CanFrame(cia301.COB_SYNC))
+SYNC = encode(CanFrame(cia301.COB_SYNC))
 """The host's SYNC without counter, as text; encoders of older versions of CiA 301 accept no counter."""
 
 
@@ -59,7 +59,7 @@ def position(data: bytes, offset: int = 0) -> int | None:
 
 def network_command(command: int, node: int) -> bytes:
     """Return the text of a network command (NMT) for one node."""
-    return slcan.encode(slcan.CanFrame(cia301.COB_NMT, bytes((command, node))))
+    return encode(CanFrame(cia301.COB_NMT, bytes((command, node))))
 
 
 _ALARMS = {0: "position error", 1: "commissioning diagnostics"}

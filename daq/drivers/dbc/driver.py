@@ -8,15 +8,14 @@ from typing import Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
+from daq.drivers.can_lines import ADAPTER_BAUD
 from daq.drivers.contract import DeviceLine, Pipeline, SampleClock, Talk
 from daq.drivers.dbc.example import SETTINGS
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.plain import PlainDriver
 from daq.drivers.simulated import FarEnd
 from daq.drivers.stream_stop import stop_stream
-
-_ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
-_BIT_RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
+from daq.transports.can_frames import CLOSE_BUS, open_bus
 
 
 class DbcDriver(PlainDriver):
@@ -30,7 +29,7 @@ class DbcDriver(PlainDriver):
 
     def line(self, settings: CanSensors) -> DeviceLine:
         """See Driver."""
-        return DeviceLine(settings.port, _ADAPTER_BAUD, settings.bitrate)
+        return DeviceLine(settings.port, ADAPTER_BAUD, settings.bitrate)
 
     def channels(self, settings: CanSensors) -> tuple[Channel, ...]:
         """See Driver: the displacements."""
@@ -76,15 +75,15 @@ class DbcDriver(PlainDriver):
     def open(self, device: str, settings: CanSensors, talk: Talk) -> dict[str, Any]:
         """See Driver; sensors that are described by a DBC file alone cannot be queried."""
         if not settings.port.startswith("can:"):  # a bus of python-can holds no old frames
-            stop_stream(talk, b"\rC\r")
+            stop_stream(talk, CLOSE_BUS)
             talk.restart_decoding()
-        talk.send(b"\rC\r" + _BIT_RATES[settings.bitrate] + b"\rO\r")
+        talk.send(open_bus(settings.bitrate))
         digest = hashlib.sha256(settings.dbc_text.encode()).hexdigest()
         return {"driver": self.name, "port": settings.port, "bitrate": settings.bitrate, "dbc_sha256": digest}
 
     def stop(self, talk: Talk) -> None:
         """See Driver: the adapter closes the bus."""
-        talk.send(b"C\r")
+        talk.send(CLOSE_BUS)
 
 
 DRIVER = DbcDriver()

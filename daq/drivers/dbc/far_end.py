@@ -10,7 +10,7 @@ from daq.drivers.can_lines import Adapter
 from daq.drivers.dbc.layouts import database
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
@@ -97,7 +97,8 @@ class SimulatedCanSensors(FarEnd):
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """See FarEnd."""
-        return self._adapter.receive(data)[1]
+        self._adapter.receive(data)
+        return b""
 
     def sample(self, motion: MotionInterval) -> bytes:
         """Return the frames of an interval of motion in the order of their times."""

@@ -1,4 +1,4 @@
-"""Pipeline of sensors on CAN: slcan text to displacements of the disk centre and other quantities.
+"""Pipeline of sensors on CAN: frames to displacements of the disk centre and other quantities.
 
 A sample's time is the sensor's timestamp, or else the number of its frame times the sampling period, on the sensor's
 clock, mapped to the common clock. Samples without both get the host's time.
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.clock import ClockSeed
+from daq.drivers.can_lines import CanLines
 from daq.drivers.dbc.layouts import MessageLayout
 from daq.drivers.dbc.quantities import QuantityStream
 from daq.drivers.dbc.samples import LaserStream
 from daq.drivers.dbc.settings import CanSensors
 from daq.items import TX, Batch, DeviceEvent
-from daq.transports.slcan import FrameBlock, LineDecoder, first_line_end
+from daq.transports.can_frames import EXTENDED
 from rig_basics.texts import number_of
 
 Items = list[Batch | DeviceEvent]
@@ -29,8 +30,8 @@ class CanPipeline:
     """Decoder of one bus.
 
     Attributes:
-        losses: see Pipeline. "samples": missing by counter or timestamp; "damaged_lines": text of the adapter that is
-            no line; "short_frames": frames shorter than their message; "doubtful_frames": frames with a number that
+        losses: see Pipeline. "samples": missing by counter or timestamp; "damaged_lines", "refused_lines": see
+            CanLines; "short_frames": frames shorter than their message; "doubtful_frames": frames with a number that
             cannot be right; "invalid": samples without a reading; "foreign_frames": frames of other messages.
     """
 
@@ -38,11 +39,10 @@ class CanPipeline:
         self, device: str, settings: CanSensors, by_topic: Mapping[str, Channel], identity: Mapping[str, Any]
     ) -> None:
         self.losses: dict[str, int] = dict.fromkeys(
-            ("samples", "damaged_lines", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
+            ("samples", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
         )
         self._device = device
-        self._lines = LineDecoder()
-        self._joined = False
+        self._lines = CanLines(device, self.losses)
         groups = settings.groups()
         seed = ClockSeed.of(identity) if len(groups) == 1 else None
         self._bus_ns: int | None = None  # time of the newest frame
@@ -63,36 +63,27 @@ class CanPipeline:
             return []
         if not data:
             return [item for laser in self._lasers for item in laser.rest()]
-        out: Items = []
-        if not self._joined:  # the first line of a log may be cut at its beginning: it is not decoded
-            end = first_line_end(data)
-            self._joined, data = bool(end), data[end:] if end else b""
-        block = self._lines.feed_block(data)
-        if block.damaged:
-            self.losses["damaged_lines"] += block.damaged
-            text = f"{number_of(block.damaged, 'damaged line')} dropped"
-            out.append(DeviceEvent("damage", self._device, text, {"lines": block.damaged}))
-        if not len(block):  # answers of the adapter do not show that the bus carries frames
+        rows, events = self._lines.received_rows(data)
+        out: Items = [*events]
+        if not len(rows):  # answers of the adapter do not show that the bus carries frames
             return out
         watches = [stream.watch for streams in self._streams.values() for stream in streams]
         for watch in watches if self._bus_ns is not None else ():
             watch.bus_back(host_ns, self._bus_ns or 0)
         self._bus_ns = host_ns
-        self._taken(block, host_ns, out)
+        self._taken(rows, host_ns, out)
         for watch in watches:
             out += watch.tick(host_ns)
         return out
 
-    def _taken(self, block: FrameBlock, host_ns: int, out: Items) -> None:
-        if not len(block):
-            return
-        foreign = len(block)
+    def _taken(self, rows: NDArray[Any], host_ns: int, out: Items) -> None:
+        foreign = len(rows)
         for (frame_id, extended), streams in self._streams.items():
-            own = (block.arbitration_id == frame_id) & (block.extended == extended) & ~block.remote
+            own = rows["identifier"] == (frame_id | EXTENDED if extended else frame_id)
             count = int(np.count_nonzero(own))
             foreign -= count
             if count:
-                data = self._whole(streams[0].message, block.data[own], block.length[own], out)
+                data = self._whole(streams[0].message, rows["data"][own], rows["length"][own], out)
                 for stream in streams if len(data) else ():
                     out += stream.feed(data, host_ns)
         self.losses["foreign_frames"] += foreign

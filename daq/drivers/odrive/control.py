@@ -14,7 +14,7 @@ from daq.drivers.odrive.settings import Odrive
 from daq.drivers.odrive.stream import OdrivePipeline
 from daq.drivers.repeated_command import RESTARTED, UNKNOWN, Mode, RepeatedCommand
 from daq.errors import DeviceError
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import HostClock
 from rig_basics.texts import number_of
 
@@ -123,7 +123,7 @@ class OdriveControl(RepeatedCommand):
             return _text(*frames, *([wire.estop(node)] if self._brakes_in_vain() else []))
         return _text(velocity) if self._armed else _text(velocity, *self._closed_loop())
 
-    def _closed_loop(self) -> list[slcan.CanFrame]:
+    def _closed_loop(self) -> list[CanFrame]:
         """Return the frames that request closed-loop control, unless it is reported or was just requested."""
         now_ns, beat, node = self._clock.now_ns(), self._beat, self._settings.node_id
         reached = beat is not None and beat.state == wire.CLOSED_LOOP and not beat.error
@@ -213,5 +213,5 @@ class OdriveControl(RepeatedCommand):
         return confirmed
 
 
-def _text(*frames: slcan.CanFrame) -> bytes:
-    return b"".join(slcan.encode(frame) for frame in frames)
+def _text(*frames: CanFrame) -> bytes:
+    return encode(*(frame for frame in frames))

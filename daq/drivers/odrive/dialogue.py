@@ -5,12 +5,11 @@ from __future__ import annotations
 import queue
 from typing import Any
 
-from daq.drivers.can_lines import open_bus
 from daq.drivers.contract import Talk
 from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.errors import DeviceError
-from daq.transports import slcan
+from daq.transports.can_frames import encode, open_bus
 from rig_basics.texts import number_of
 
 _REPORT_S = 2.0  # wall s for the first heartbeat and the first estimates
@@ -87,7 +86,7 @@ def _query_serial(settings: Odrive, talk: Talk) -> str:
 
 def _query(command: int, prefix: str, settings: Odrive, talk: Talk, tries: int) -> bytes | None:
     for _ in range(tries):
-        talk.send(slcan.encode(wire.request(settings.node_id, command)))
+        talk.send(encode(wire.request(settings.node_id, command)))
         deadline = talk.clock.wall_s() + _ANSWER_S
         while (reply := _reply(talk, deadline)) is not None:
             if reply.startswith(prefix):

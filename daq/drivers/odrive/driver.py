@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.can_lines import ADAPTER_BAUD, CLOSE_BUS
+from daq.drivers.can_lines import ADAPTER_BAUD
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
 from daq.drivers.odrive.settings import Odrive
@@ -15,6 +15,7 @@ from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
+from daq.transports.can_frames import CLOSE_BUS
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock

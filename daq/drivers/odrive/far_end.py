@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from daq.drivers.can_lines import Adapter
 from daq.drivers.odrive.settings import Odrive
 from daq.drivers.simulated import FarEnd, FaultKind
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
@@ -151,20 +151,20 @@ class SimulatedOdrive(FarEnd):
     # --- the line ---------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take slcan text from the host; return the adapter's answers and those of the axis."""
+        """See FarEnd."""
         self._now_s = max(self._now_s, now_s)
-        frames, answers = self._adapter.receive(data)
+        frames = self._adapter.receive(data)
         if not (self._without_supply or self._deaf):
             for frame in frames:
                 self._hear(frame)
-        return answers + self._take()
+        return self._take()
 
     def _take(self) -> bytes:
         frames, self._out = self._out, []
         if not self._adapter.open:
             return b""
         self.frames_sent += len(frames)
-        return b"".join(encode(frame) for frame in frames)
+        return encode(*frames)
 
     def _emit(self, command: int, data: bytes) -> None:
         self._out.append(CanFrame(self._settings.node_id * 32 + command, data))

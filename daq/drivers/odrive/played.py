@@ -9,7 +9,7 @@ from daq.drivers.can_lines import Adapter, BothWays
 from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.drivers.played import PlayedDevice
-from daq.transports import slcan
+from daq.transports.can_frames import CanFrame, FrameDecoder, encode
 
 _UNKNOWN = wire.Version((0, 0, 0), (0, 6, 0))
 
@@ -32,10 +32,10 @@ class PlayedOdrive(PlayedDevice):
         self._node, self._adapter = settings.node_id, Adapter()
         self._answers = _answers(settings, identity)
         self._reports = {
-            wire.HEARTBEAT: slcan.encode(self._frame(wire.HEARTBEAT, wire.pack_idle())),
-            wire.ESTIMATES: slcan.encode(self._frame(wire.ESTIMATES, bytes(8))),
+            wire.HEARTBEAT: encode(self._frame(wire.HEARTBEAT, wire.pack_idle())),
+            wire.ESTIMATES: encode(self._frame(wire.ESTIMATES, bytes(8))),
         }
-        self._lines = slcan.LineDecoder()
+        self._lines = FrameDecoder()
 
     @property
     def sending(self) -> bool:
@@ -49,7 +49,7 @@ class PlayedOdrive(PlayedDevice):
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. Commands to the adapter alone do not count as commands to the controller."""
         was_open = self._adapter.open
-        frames, out = self._adapter.receive(data)
+        frames, out = self._adapter.receive(data), b""
         if self._adapter.open and not was_open:
             out += b"".join(self._reports.values())  # the opening waits for them
         self.commands += len(frames)
@@ -60,17 +60,17 @@ class PlayedOdrive(PlayedDevice):
                 continue
             self.unfollowed += command == wire.AXIS_STATE and wire.parse_state(frame) == wire.CLOSED_LOOP
             if frame.remote and command in self._answers:
-                out += slcan.encode(self._frame(command, self._answers[command]))
+                out += encode(self._frame(command, self._answers[command]))
         return out
 
-    def _frame(self, command: int, data: bytes) -> slcan.CanFrame:
-        return slcan.CanFrame(wire.identifier(self._node, command), data)
+    def _frame(self, command: int, data: bytes) -> CanFrame:
+        return CanFrame(wire.identifier(self._node, command), data)
 
     def _pass(self, data: bytes) -> bytes:
         for frame in self._lines.feed(data).frames:
             node, command = wire.split(frame.arbitration_id)
             if node == self._node and command in self._reports and not frame.remote:
-                self._reports[command] = slcan.encode(frame)
+                self._reports[command] = encode(frame)
         return super()._pass(data)
 
 

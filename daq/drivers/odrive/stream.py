@@ -1,4 +1,4 @@
-"""Pipeline of an ODrive: adapter text in both directions to speed, state and errors."""
+"""Pipeline of an ODrive: frames in both directions to speed, state and errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq.drivers.following import Following
 from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.items import TX, Batch, DeviceEvent
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame, opens_bus
 from rig_basics.texts import number_of
 
 _JUMP_TURNS, _JUMP_S = 5.0, 1.0  # a position that differs by more than this, and this time's motion, has been reset
@@ -37,7 +37,7 @@ def state(beat: wire.Heartbeat, firmware: str) -> str:
 
 
 class OdrivePipeline:
-    """Decoder of adapter text to speed, state and errors. Samples get the host's time: a controller has no clock.
+    """Decoder of frames to speed, state and errors. Samples get the host's time: a controller has no clock.
 
     The set-point is in the frames that the host sends, or, in a session that only receives, among the received frames.
 
@@ -70,7 +70,7 @@ class OdrivePipeline:
         """See Pipeline."""
         self.beats, self.speeds_rpm, self.restarted = [], [], False
         if direction == TX:
-            if b"O\r" in data:
+            if opens_bus(data):
                 self._introduced.clear()
             for frame in self._lines.sent(data):
                 if not frame.extended and wire.split(frame.arbitration_id)[0] == self._settings.node_id:

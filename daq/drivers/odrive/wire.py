@@ -30,7 +30,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame
 
 VERSION, HEARTBEAT, ESTOP = 0x00, 0x01, 0x02
 ERRORS, ENCODER_ERROR, CONTROLLER_ERROR = 0x03, 0x04, 0x1D

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.drivers.can_lines import ADAPTER_BAUD, CLOSE_BUS, open_bus
+from daq.drivers.can_lines import ADAPTER_BAUD
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
@@ -14,6 +14,7 @@ from daq.drivers.vesc.driver import VescDriver
 from daq.drivers.vesc.settings import VescMotor
 from daq.drivers.vesc_can.settings import VescCan
 from daq.items import DeviceEvent
+from daq.transports.can_frames import CLOSE_BUS, open_bus
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock

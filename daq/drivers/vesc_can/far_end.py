@@ -10,7 +10,7 @@ from daq.drivers.can_lines import Adapter
 from daq.drivers.simulated import FaultKind
 from daq.drivers.vesc.far_end import SimulatedVesc
 from daq.drivers.vesc_can.settings import VescCan
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.motion import SimulatedMotion
 
 _MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its status afterwards
@@ -42,9 +42,9 @@ class SimulatedVescCan(SimulatedVesc):
                 super().fail(what, value)
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take slcan text from the host; return the adapter's answers and those of the controller."""
+        """See FarEnd."""
         self._now_s = max(self._now_s, now_s)
-        frames, out = self._adapter.receive(data)
+        frames, out = self._adapter.receive(data), b""
         for frame in frames:
             command, number = divmod(frame.arbitration_id, 256)
             if not frame.extended or number != self._bus.controller_id or not self.line_alive:
@@ -67,7 +67,7 @@ class SimulatedVescCan(SimulatedVesc):
     def _encoded(self, frames: Sequence[CanFrame]) -> bytes:
         """Return the text of frames and count them."""
         self.frames_sent: int = self.frames_sent + len(frames)
-        return b"".join(map(encode, frames))
+        return encode(*frames)
 
     def step(self, now_s: float) -> bytes:
         """Update the controller up to `now_s`; return the status messages that are due."""

@@ -11,7 +11,7 @@ from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc.played import firmware_of
 from daq.drivers.vesc_can import wire
 from daq.drivers.vesc_can.settings import VescCan
-from daq.transports import slcan
+from daq.transports.can_frames import encode
 
 
 class _CommandsTo(Container[int]):
@@ -51,7 +51,7 @@ class PlayedVescCan(PlayedDevice):
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. Commands to the adapter alone do not count as commands to the controller."""
-        frames, out = self._adapter.receive(data)
+        frames, out = self._adapter.receive(data), b""
         self.commands += len(frames)
         self._bus.host_is_there |= bool(frames)
         controller, host = self._settings.controller_id, self._settings.host_id
@@ -61,5 +61,5 @@ class PlayedVescCan(PlayedDevice):
                 continue
             self.unfollowed += command == wire.SET_RPM
             if wire.payload_of(frame) == bytes([vesc.FIRMWARE_VERSION]):
-                out += b"".join(slcan.encode(piece) for piece in wire.pieces(self._firmware, controller, host))
+                out += encode(*(piece for piece in wire.pieces(self._firmware, controller, host)))
         return out

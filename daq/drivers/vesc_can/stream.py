@@ -1,4 +1,4 @@
-"""The CAN line of a VESC's pipeline: adapter text to payloads of answers, and the speeds of the status messages."""
+"""The CAN line of a VESC's pipeline: frames to payloads of answers, and the speeds of the status messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from daq.drivers.vesc_can import wire
 from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.status_watch import StatusWatch
 from daq.items import DeviceEvent
-from daq.transports.slcan import CanFrame
+from daq.transports.can_frames import CanFrame
 
 _TO_HOST = (wire.FILL, wire.FILL_LONG, wire.PROCESS, wire.SHORT)
 _FIRMWARE = bytes([vesc.FIRMWARE_VERSION])

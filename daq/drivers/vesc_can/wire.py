@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc.packets import MAX_PAYLOAD
-from daq.transports.slcan import CanFrame, encode
+from daq.transports.can_frames import CanFrame, encode
 
 SET_CURRENT, SET_BRAKE, SET_RPM = 1, 2, 3
 FILL, FILL_LONG, PROCESS, SHORT = 5, 6, 7, 8
