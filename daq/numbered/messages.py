@@ -32,6 +32,8 @@ class Count:
         clock_step: its step from one message to the next.
         late_messages: number of messages by which one may come late, or once more; 0 of a line that keeps their order.
         is_checked: whether a message with a damaged number is impossible.
+        look_ahead_ns: longest time for which messages after a gap wait for those that fill it, ns; 0 of a line that
+            keeps their order. Their step is 1.
     """
 
     size: int
@@ -41,6 +43,7 @@ class Count:
     clock_step: float = 1.0
     late_messages: int = 0
     is_checked: bool = True
+    look_ahead_ns: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Generic, Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from daq.numbered.due_line import RATE_ERROR, DueLine
 from daq.numbered.lateness import Lateness, came_at_once, first_late, settled_lateness
+from daq.numbered.look_ahead import LookAhead, Run
 from daq.numbered.messages import Count, Message, R, Stretch
 
 _HOST_NS = 10e6
@@ -36,6 +38,8 @@ _SILENT = 0.8
 """Share of missing messages for whose duration the line must have been silent; a delay may cover the rest."""
 _STARTS_NS = 100e6
 """Time that a sender needs at least to start again."""
+_RARE = 1e-4
+"""Share of its cycle by which a number may be late, as those after a new start are by chance, without doubt."""
 _MOST_WAITING = 4096
 
 
@@ -61,6 +65,7 @@ class NumberedStream(Generic[R]):
         self._number_ns = count.period_ns / count.step
         self._tolerance_ns = min(0.5 * count.size * self._number_ns, max(_HOST_NS, 0.5 * count.period_ns))
         self._due = DueLine(self._tolerance_ns)
+        self._ahead = LookAhead[R](count.period_ns, count.look_ahead_ns) if count.look_ahead_ns else None
         self._place = self._time = 0  # of the newest message with a place
         self._waiting: list[Message[R]] = []
         self._why: _Why = "late"
@@ -80,7 +85,48 @@ class NumberedStream(Generic[R]):
         Returns:
             Messages that have a place now, in order.
         """
-        times = np.zeros(len(numbers), np.int64) if times is None else times
+        read = Run(numbers, np.zeros(len(numbers), np.int64) if times is None else times, rows, host_ns)
+        if self._ahead is None:
+            return self._fed(read)
+        out: list[Stretch[R]] = []
+        for run in _runs(read, self._count.size):
+            out += self._in_order(self._ahead, run)
+        return out
+
+    def at(self, host_ns: int) -> list[Stretch[R]]:
+        """Return the messages that need not wait any more for others that fill a gap, at a host time, ns."""
+        if self._ahead is None:
+            return []
+        return [each for run in self._ahead.due(host_ns, self._place + 1) for each in self._fed(run)]
+
+    def end(self) -> list[Stretch[R]]:
+        """Return the messages that wait; no others come."""
+        ahead = [] if self._ahead is None else [each for run in self._ahead.end() for each in self._fed(run)]
+        return [*ahead, *self._merged(self._settled())]
+
+    def _in_order(self, ahead: LookAhead[R], run: Run[R]) -> list[Stretch[R]]:
+        """Return the messages that have a place with those of a run, unless they wait for others that fill a gap."""
+        place = self._place_near(run) if self._due.begun else None
+        if place is None or (self._waiting and self._why != "sent earlier"):
+            ready = [*ahead.end(), run]
+        else:
+            ready = ahead.feed(place, run, self._place + 1)
+        return [each for one in ready for each in self._fed(one)]
+
+    def _place_near(self, run: Run[R]) -> int | None:
+        """Return the place of a run before or after the newest message; None if number and clock contradict it."""
+        count = self._count
+        step = _centred(int(run.numbers[0]) - self._place, count.size)
+        if count.clock_size:
+            passed = _centred(int(run.times[0]) - self._time, count.clock_size) / count.clock_step
+            step += count.size * round((passed - step) / count.size)
+            if abs(passed - step) > 0.5 + RATE_ERROR * abs(passed):
+                return None
+        return self._place + step
+
+    def _fed(self, read: Run[R]) -> list[Stretch[R]]:
+        """Return the messages that have a place with those of a read."""
+        numbers, times, rows, host_ns = read.numbers, read.times, read.rows, read.host_ns
         if not self._due.begun:
             self._begin(int(numbers[0]), int(times[0]))
         if not self._waiting:
@@ -96,10 +142,6 @@ class NumberedStream(Generic[R]):
             at_ns = host_ns - round((len(numbers) - 1 - i) * self._count.period_ns * self._due.pace)
             out += self._take((number, time, at_ns, host_ns, rows[i : i + 1]))
         return self._merged(out)
-
-    def end(self) -> list[Stretch[R]]:
-        """Return the messages that wait; no others come."""
-        return self._merged(self._settled())
 
     def _begin(self, number: int, time: int) -> None:
         """Let the next message have no other before it."""
@@ -176,14 +218,21 @@ class NumberedStream(Generic[R]):
             return self._put([here], here.missing)
         more_ns = after.late_ns - newest.late_ns
         if after.missing and (after.late_ns if self._why == "late" else more_ns) < -self._due.early_ns(after.at_ns):
-            if self._behind(after) < self._count.late_messages:
-                self.repeated += 1
-                return []
-            return [*self._settled(), *self._take(received)]  # it does not go on from those that wait
+            return self._apart(here, after, received)
         if self._why == "late" and self._tolerance_ns < more_ns < (after.at_ns - newest.host_ns) / _SILENT:
             return [*self._put(self._waiting, self._waiting[0].missing), *self._take(received)]
         self._waiting.append(after)
         return self._decided()
+
+    def _apart(self, here: Message[R], after: Message[R], received: tuple[int, int, int, int, R]) -> list[Stretch[R]]:
+        """Take a message that does not go on from those that wait."""
+        if not self._is_of_before(after, self._waiting[-1].time):
+            return [*self._settled(), *self._take(received)]
+        if self._why == "sent earlier":
+            self._drop()
+            return self._alone(here)
+        self.repeated += 1
+        return []
 
     def _goes_on(self, here: Message[R], after: Message[R]) -> bool:
         """Whether a message goes on from the newest one with a place, and not from those that wait."""
@@ -207,7 +256,7 @@ class NumberedStream(Generic[R]):
         is_same = self._behind(here) == 0 and (here.late_ns < -tolerance_ns or self._stands_still)
         if is_same or here.late_ns < -self._due.early_ns(here.at_ns):
             return self._too_early(here)
-        if here.late_ns <= tolerance_ns:
+        if here.late_ns <= max(tolerance_ns, _RARE * here.cycle_ns):
             return self._put([here], here.missing) if self._count.is_checked else self._wait(here, "jumped")
         cycles = self._cycles(here.late_ns, here.cycle_ns, here.at_ns)
         is_due = abs(here.late_ns - cycles * here.cycle_ns) <= tolerance_ns
@@ -219,8 +268,7 @@ class NumberedStream(Generic[R]):
 
     def _too_early(self, here: Message[R]) -> list[Stretch[R]]:
         """Take a message that cannot have been sent yet if it comes after the newest one."""
-        behind = self._behind(here)
-        if behind <= self._count.late_messages:
+        if self._is_of_before(here, self._time):
             if not self._count.late_messages:  # the same number again
                 self.damaged += 1
                 self._stands_still = True
@@ -231,6 +279,14 @@ class NumberedStream(Generic[R]):
     def _behind(self, here: Message[R]) -> int:
         """Return the number of messages by which a message comes before the one that it was compared with."""
         return self._missing(self._count.size) - here.missing
+
+    def _is_of_before(self, here: Message[R], time: int) -> bool:
+        """Whether a message may be an earlier one than that with which it was compared, which has the given time."""
+        behind = self._behind(here)
+        if not (self._count.clock_size and self._count.late_messages):
+            return behind <= self._count.late_messages
+        passed = _centred(time - here.time, self._count.clock_size) / self._count.clock_step
+        return behind <= self._count.late_messages and abs(passed - behind) <= 0.5 + RATE_ERROR * behind
 
     def _wait(self, here: Message[R], why: _Why) -> list[Stretch[R]]:
         self._waiting, self._why = [here], why
@@ -346,3 +402,14 @@ class NumberedStream(Generic[R]):
             )
             for group in out
         ]
+
+
+def _runs(read: Run[R], size: int) -> list[Run[R]]:
+    """Return the parts of a read with consecutive numbers."""
+    ends = [0, *(np.flatnonzero((np.diff(read.numbers) - 1) % size) + 1).tolist(), len(read.numbers)]
+    return [Run(read.numbers[a:b], read.times[a:b], read.rows[a:b], read.host_ns) for a, b in pairwise(ends)]
+
+
+def _centred(difference: int, size: int) -> int:
+    """Return a difference of numbers that begin again after `size`, as the one nearest to 0."""
+    return (difference + size // 2) % size - size // 2

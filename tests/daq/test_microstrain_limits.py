@@ -80,6 +80,9 @@ def test_a_packet_as_set_up_ends_a_series_of_contradicting_ones() -> None:
     line, bad = pipeline(), sweeps(0, [(1, 1)], rate=106)
     found = [kinds(line.feed(RX, data, S)) for data in (bad, bad, sweeps(0, [(1, 1)]), bad, bad, bad, bad)]
     assert found == [["damage"], ["damage"], [], ["damage"], ["damage"], ["fault"], []]
+    assert line.complaint
+    assert len(thetas(line.feed(RX, sweeps(1, [(1, 1)]), S))) == 1
+    assert line.complaint == ""
     assert line.losses == {"samples": 0, "damaged_packets": 6, "bytes": 0, "foreign_packets": 0}
 
 
@@ -124,16 +127,17 @@ def test_samples_before_a_gap_or_a_restart_come_before_its_event() -> None:
     assert shape(pipeline().feed(RX, first + sweeps(2000, four, tick=0), S)) == ["samples", "restart", "samples"]
     assert shape(pipeline().feed(RX, first + sweeps(0, four, late_s=-100), S)) == ["samples", "restart", "samples"]
     line = pipeline()
-    items = line.feed(RX, first + sweeps(1006, four), S)
-    assert shape(items) == ["samples", "gap", "samples"]
-    gap, after = items[1:]
+    items = [*line.feed(RX, first + sweeps(1006, four), S), *line.feed(RX, status(UTC_S * S), 2 * S)]
+    assert shape(items) == ["samples", "reply", "gap", "samples"]
+    gap, after = items[2:]
     assert isinstance(gap, DeviceEvent)
     assert isinstance(after, Batch)
-    assert gap.text == "2 samples lost (7.8 ms)"
+    assert gap.text == "2 samples lost (7.81 ms)"
     assert gap.facts == {"samples": 2, "span_s": 0.0078125, "time_ns": int(after.time_ns[0]), "rssi_dBm": -61}
     assert after.sequence.tolist() == [6, 7, 8, 9]
-    assert shape(line.feed(RX, sweeps(1010, four), S)) == ["samples"]
-    unknown = only_event(line.feed(RX, sweeps(1020, four, base_rssi=127), S))
+    assert shape(line.feed(RX, sweeps(1010, four), 2 * S)) == ["samples"]
+    line.feed(RX, sweeps(1020, four, base_rssi=127), 2 * S)
+    unknown = only_event(line.feed(RX, b"", 2 * S))
     assert (unknown.facts["samples"], "rssi_dBm" in unknown.facts, line.base_rssi_dBm) == (6, False, None)
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 
 from daq.drivers.rotorlink import wire as rl
 from daq.drivers.rotorlink.line import FrameDecoder
-from daq.drivers.rotorlink.sequence import SequenceCounter
+from daq.drivers.rotorlink.sender import Place, Sender
 
 U8, U16, U32 = st.integers(0, 255), st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 I8, I16 = st.integers(-128, 127), st.integers(-(2**15), 2**15 - 1)
@@ -165,23 +165,17 @@ def test_an_endless_run_is_dropped_once_and_the_stream_goes_on():
 
 @given(st.integers(0, 2**16 - 1), st.lists(st.integers(1, 1000), max_size=50))
 def test_sequence_counts_losses_across_the_wrap(start, steps):
-    counter, seq, lost = SequenceCounter(), start, 0
-    counter.feed(seq)
+    sender, seq = Sender(), start
+    sender.feed(seq, None, 0)
     for step in steps:
         seq = (seq + step) % 2**16
-        assert counter.feed(seq) == (step - 1, False)
-        assert counter.feed(seq) == (0, True)
-        lost += step - 1
-    assert (counter.lost, counter.repeats, counter.restarts) == (lost, len(steps), 0)
+        assert sender.feed(seq, None, 0) == Place(lost=step - 1)
+        assert sender.feed(seq, None, 0) == Place(is_repeated=True)
 
 
 def test_sequence_late_frame_and_restart():
-    counter = SequenceCounter()
+    sender = Sender()
     for seq in (30_000, 30_001):
-        counter.feed(seq)
-    assert counter.feed(29_999) == (0, True)
-    assert counter.feed(0) == (0, False)
-    assert counter.restarts == 1
-    assert counter.feed(1) == (0, False)
-    counter.reset()
-    assert counter.feed(20_000) == (0, False)
+        sender.feed(seq, None, 0)
+    assert sender.feed(29_999, None, 0) == Place(is_repeated=True)
+    assert sender.feed(0, None, 0) == Place(is_restart=True)

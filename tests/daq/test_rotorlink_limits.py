@@ -321,6 +321,8 @@ def test_only_its_own_flag_shows_a_low_battery(flags: int, low: bool) -> None:
     line = Line()
     line.at(9_000, block(0, 0, 0, flags=flags))
     assert line.pipeline.battery_low is low
+    line.at(19_000, block(1, 10, 10_000))
+    assert not line.pipeline.battery_low
 
 
 def test_without_its_angles_or_marks_a_node_gives_only_the_others() -> None:

@@ -24,9 +24,6 @@ from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.vesc import packets, stream as vesc_stream, wire as vesc
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
-from daq.drivers.xbee import framing
-from daq.drivers.xbee.settings import XBeeNode
-from daq.drivers.xbee.stream import XBeePipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, encode
@@ -248,35 +245,6 @@ def test_samples_of_a_block_have_angles_indices_and_times() -> None:
     assert batch.time_ns.tolist() == [START_NS - (9 - k) * MS for k in range(10)]
 
 
-def test_missing_samples_are_counted_with_their_span_and_overlapping_ones_are_used_once() -> None:
-    pipeline = node()
-    items = fed(pipeline, block(0, 0), block(17, 1), block(22, 2), b"")
-    assert values(items, "index") == [*range(10), *range(17, 32)]
-    gap = next(event for event in events(items, "gap") if "samples" in event.facts)
-    assert (gap.facts["samples"], gap.facts["span_s"]) == (7, pytest.approx(0.007))
-    assert gap.text == "7 samples lost (7.00 ms)"
-    assert pipeline.losses["samples"] == 7
-
-
-def test_samples_that_the_node_lost_without_an_index_are_counted_by_its_clock() -> None:
-    pipeline = node()
-    items = fed(pipeline, block(0, 0), block(10, 1, node_us=13_000, flags=rotorlink.FLAG_SAMPLES_LOST))
-    assert pipeline.losses["samples"] == 3
-    assert events(items, "gap")[0].facts["span_s"] == pytest.approx(0.003)
-    unmarked = node()
-    fed(unmarked, block(0, 0), block(10, 1, node_us=13_000))
-    assert unmarked.losses["samples"] == 0
-
-
-@pytest.mark.parametrize(("back_ms", "restart"), [(1000, False), (1001, True)])
-def test_samples_older_than_a_second_show_a_restart(back_ms: int, restart: bool) -> None:
-    """Blocks that are not marked as repeated, with correct numbers and times."""
-    pipeline = node()
-    first = [block(5000 + 10 * k, k) for k in range(3)]
-    items = fed(pipeline, *first, block(5030 - back_ms, 3, node_us=5_030_000))
-    assert bool(events(items, "restart")) is restart
-
-
 @pytest.mark.parametrize("number", [0, 255])
 def test_a_node_s_number_is_a_byte(number: int) -> None:
     pipeline = node(node=number)
@@ -285,19 +253,6 @@ def test_a_node_s_number_is_a_byte(number: int) -> None:
     for wrong in (-1, 256, True, "1", 1.0):
         with pytest.raises(DeviceError, match="a node's number, 0 to 255"):
             node(node=wrong)
-
-
-def test_frames_of_another_node_are_reported_once_and_ignored() -> None:
-    pipeline = node()
-    items = fed(pipeline, block(node=2), block(10, 1, node=3), block(10, 1, node=2), block(20, 2, node=3))
-    assert values(items, "index") == list(range(20))
-    assert [(event.kind, event.facts) for event in events(items)] == [
-        ("acknowledge", {"node": 2}),
-        ("foreign", {"node": 3}),
-        ("doubt", {"node": 3}),
-    ]
-    assert pipeline.learned == {"node": 2}
-    assert node().learned == {}
 
 
 def test_a_status_has_its_values_in_their_units() -> None:
@@ -346,37 +301,6 @@ def test_a_mark_is_a_sample_of_the_tachometer() -> None:
     assert (batch.time_ns.tolist(), batch.sequence.tolist()) == ([START_NS], [9])
 
 
-def test_lost_frames_of_the_air_have_the_time_between_their_neighbours() -> None:
-    pipeline = node()
-    items = fed(pipeline, block(0, 65_535), block(30, 2, node_us=30_000), b"")
-    gap = next(event for event in events(items, "gap") if "radio_frames" in event.facts)
-    assert gap.facts == {"radio_frames": 2, "span_s": pytest.approx(0.03)}
-    assert gap.text == "2 radio frames lost within 30 ms"
-    assert pipeline.losses["radio_frames"] == 2
-    assert pipeline.heard_frames == (65_535, 2)
-
-
-def test_the_time_of_lost_frames_begins_at_the_last_frame_before_them() -> None:
-    items = fed(node(), block(0, 0), block(10, 1), block(20, 2), block(60, 6), b"")
-    gap = next(event for event in events(items, "gap") if "radio_frames" in event.facts)
-    assert gap.facts == {"radio_frames": 3, "span_s": pytest.approx(0.04)}
-
-
-def test_a_dongle_s_frames_have_their_own_losses_and_signal_strength() -> None:
-    def wrapped(seq: int, inner_seq: int, dongle_us: int, rssi: int) -> bytes:
-        mark = rotorlink.IndexMark(1, inner_seq, 1000 * inner_seq, inner_seq)
-        return rotorlink.wire(rotorlink.Wrapped(0x20, seq, dongle_us, rssi, mark).pack())
-
-    pipeline = node()
-    assert pipeline.rssi_dBm is None
-    items = fed(pipeline, wrapped(5, 1, 1000, -50), wrapped(8, 5, 9000, -61), wrapped(8, 5, 9000, -61))
-    assert values(items, "revolutions") == [1, 5]
-    assert pipeline.rssi_dBm == -61
-    assert pipeline.losses == {"radio_frames": 1, "cable_frames": 2, "damaged_frames": 0, "samples": 0}
-    cable = next(event for event in events(items, "gap") if "cable_frames" in event.facts)
-    assert cable.facts == {"cable_frames": 2, "span_s": pytest.approx(0.008)}
-
-
 def test_only_the_first_damage_of_a_log_is_the_rest_of_a_frame() -> None:
     pipeline = node()
     items = fed(pipeline, b"\x05\x01\x00", b"\x05\x01\x00", block(0))
@@ -393,74 +317,6 @@ def test_a_seed_of_the_node_s_clock_wraps_after_32_bits_of_microseconds() -> Non
     seed = pipeline.clock_seed
     assert seed is not None
     assert (seed.wrap_ns, seed.device_ns, seed.host_ns) == (2**32 * 1000, 9 * MS, START_NS)
-
-
-def test_a_low_battery_is_that_of_the_newest_block() -> None:
-    pipeline = node()
-    assert not pipeline.battery_low
-    fed(pipeline, block(0, 0, flags=rotorlink.FLAG_LOW_BATTERY))
-    assert pipeline.battery_low
-    fed(pipeline, block(10, 1))
-    assert not pipeline.battery_low
-
-
-# --- XBee ------------------------------------------------------------------------------------------------------
-
-
-def api(data: str, mode: int = 1) -> bytes:
-    return framing.encode(bytes.fromhex(data), escaped=mode == 2)
-
-
-def xbee(**identity: Any) -> XBeePipeline:
-    settings = XBeeNode.model_validate(
-        {"driver": "xbee", "port": "-", "node_address": "0013A20041AEB54E", "api_mode": 1}
-    )
-    return XBeePipeline("encoder", settings, identity)
-
-
-def test_sixteen_foreign_senders_have_an_event_of_their_own() -> None:
-    pipeline = xbee()
-    frames = b"".join(api(f"90 {k:016x} fffe c1 00") for k in range(1, 21))
-    found = pipeline.feed(RX, frames + frames, START_NS)
-    assert [event.facts["source"] for event in events(found)] == [f"{k:016X}" for k in range(1, 17)]
-    assert pipeline.losses["foreign_frames"] == 40
-
-
-@pytest.mark.parametrize(
-    ("known", "answer_hex", "rssi"),
-    [
-        (None, "88 01 4442 00 3d", -61),
-        (-50, "88 01 4442 00 00", -50),
-        (-50, "88 01 4442 01 3d", -50),
-        (-50, "88 01 4e49 00 3d", -50),
-        ("-50", "88 01 4442 00", None),
-        (True, "88 01 4442 00", None),
-        (None, "88 01 4442 00 0100", -256),
-    ],
-)
-def test_the_signal_strength_of_an_answer(known: object, answer_hex: str, rssi: int | None) -> None:
-    pipeline = xbee(rssi_dBm=known)
-    (event,) = pipeline.feed(RX, api(answer_hex), START_NS)
-    assert isinstance(event, DeviceEvent)
-    assert event.kind == "reply"
-    assert pipeline.rssi_dBm == rssi
-
-
-@pytest.mark.parametrize(
-    ("status", "text"), [(0, "ok"), (4, "transmission failed"), (5, "status 5"), (255, "status 255")]
-)
-def test_the_status_of_an_answer(status: int, text: str) -> None:
-    (event,) = xbee().feed(RX, api(f"88 07 4150 {status:02x} 02"), START_NS)
-    assert isinstance(event, DeviceEvent)
-    assert event.text == f"7 AP 02 {text}"
-    assert event.facts == {"frame_id": 7, "command": "AP", "status": status}
-
-
-def test_reports_of_the_module_state_a_restart() -> None:
-    for status, restart in ((0, True), (1, True), (2, False), (6, False)):
-        (event,) = xbee().feed(RX, api(f"8a {status:02x}"), START_NS)
-        assert isinstance(event, DeviceEvent)
-        assert (event.kind, event.facts) == ("modem", {"status": status, "restart": restart})
 
 
 # --- RIFTEK ----------------------------------------------------------------------------------------------------
@@ -653,7 +509,7 @@ def test_bytes_skipped_within_a_stream_are_counted_and_those_before_it_are_not()
 
 
 @pytest.mark.parametrize(
-    "make", [laser, node, xbee, rf60x, lambda: VescPipeline("d", MOTOR), lambda: DrivePipeline("d", DRIVE)]
+    "make", [laser, node, rf60x, lambda: VescPipeline("d", MOTOR), lambda: DrivePipeline("d", DRIVE)]
 )
 def test_no_pipeline_begins_with_losses(make: Any) -> None:
     assert set(make().losses.values()) == {0}

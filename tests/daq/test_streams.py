@@ -21,7 +21,6 @@ from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.errors import DeviceError
 from daq.items import RX, Batch, DeviceEvent
 from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, decode, encode
@@ -155,17 +154,6 @@ def test_the_split_into_reads_changes_no_value(cut: int) -> None:
         assert np.array_equal(np.concatenate([b.columns[name] for b in parts]), whole[0].columns[name])
 
 
-def test_a_rebooted_node_is_an_event_and_its_samples_are_kept() -> None:
-    after = node_frames(30, first_seq=0)
-    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-    # half an hour of node time before the reboot
-    old = rotorlink.EncoderBlock(1, 40_030, 1_800_000, 1_800_000_000, 1000, 96, np.zeros((20, 2), np.int32))
-    batches, events = feed(pipeline, [rotorlink.wire(old.pack()), *after])
-    assert [e.kind for e in events if e.kind == "restart"] == ["restart"]
-    assert sum(len(b.time_ns) for b in batches) == 20 + 600
-    assert pipeline.losses["radio_frames"] == 0
-
-
 @given(st.integers(1, 38), st.integers(0, 3), st.integers(1, 0x3FFFF))
 def test_one_damaged_row_is_dropped_and_nothing_else(row: int, column: int, flip: int) -> None:
     words = blocks(np.arange(5000, 5040), np.zeros(40))
@@ -194,39 +182,9 @@ def test_a_gap_longer_than_the_counter_is_counted_by_the_timestamp() -> None:
     assert pipeline.losses["samples"] == 2**18 + 5
 
 
-def test_a_node_with_other_encoders_than_in_the_rig_file_is_a_fault() -> None:
-    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-    status = rotorlink.NodeStatus(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
-    _, events = feed(pipeline, [rotorlink.wire(status.pack())])
-    assert "1024" in next(e.text for e in events if e.kind == "fault")
-
-
 def encoder_wire(seq: int, index: int, node_us: int, n: int = 20, flags: int = 0) -> bytes:
     counts = np.column_stack([index + np.arange(n), np.full(n, 2048)]).astype(np.int32)
     return rotorlink.wire(rotorlink.EncoderBlock(1, seq, index, node_us, 1000, flags, counts).pack())
-
-
-def test_a_restart_hands_out_what_still_waited_for_a_repeat() -> None:
-    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-    start_us = 60_000_000
-    parts = [encoder_wire(i, 20 * i, start_us + 20_000 * i) for i in range(2)]
-    parts += [encoder_wire(2, 20, start_us + 20_000, flags=rotorlink.FLAG_REPEATS)]
-    parts += [encoder_wire(4, 60, start_us + 60_000), encoder_wire(0, 0, 0)]
-    batches, events = feed(pipeline, parts)
-    index = np.concatenate([b.columns["index"] for b in batches])
-    assert np.array_equal(index, [*range(40), *range(60, 80), *range(20)])
-    assert pipeline.losses["samples"] == 20
-    kinds = [e.kind for e in events]
-    assert kinds.index("restart") > max(k for k, e in enumerate(events) if "samples" in e.facts)
-
-
-def test_what_waits_for_a_repeat_is_handed_out_at_the_logs_end() -> None:
-    parts = [encoder_wire(0, 0, 0), encoder_wire(1, 0, 0, flags=rotorlink.FLAG_REPEATS), encoder_wire(3, 40, 40_000)]
-    for end, last in ((b"", 59), (None, 19)):
-        pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-        batches, _ = feed_on(pipeline, parts if end is None else [*parts, end])
-        assert batches[-1].columns["index"][-1] == last
-        assert pipeline.losses["samples"] == (20 if end is not None else 0)
 
 
 def decoded(sent: list[tuple[float, bytes]]) -> tuple[NodePipeline, list[int], list[DeviceEvent]]:
@@ -411,34 +369,6 @@ def test_the_node_of_one_log_is_that_of_the_next_independent_of_the_first_frame(
     assert chosen.learned == {"node": 2}  # the rig file decides
 
 
-@pytest.mark.parametrize("node", ["7", True, -1, 256, 7.0, [7]])
-def test_no_identity_has_a_node_that_cannot_be(node: object) -> None:
-    with pytest.raises(DeviceError, match="a node's number, 0 to 255"):
-        NodePipeline("encoder", DEVICES["encoder"], {"node": node})
-
-
-def test_indices_go_on_behind_their_wrap() -> None:
-    pipeline, found, events = decoded(blocks_from(0.0, 100, index=2**32 - 1000))
-    assert found == [*range(2**32 - 1000, 2**32), *range(1000)]
-    assert not events
-    assert not any(pipeline.losses.values())
-
-
-def test_samples_that_a_node_lost_before_it_counted_them_are_counted_by_its_clock() -> None:
-    late = blocks_from(1.01, 50, 50, 1000, flags=rotorlink.FLAG_SAMPLES_LOST)[:1] + blocks_from(1.03, 49, 51, 1020)
-    pipeline, found, events = decoded([*blocks_from(0.0, 50), *late])
-    assert found == list(range(2000))
-    assert pipeline.losses["samples"] == 10 == sum(event.facts.get("samples", 0) for event in events)
-
-
-def test_a_status_of_a_dongle_lost_on_the_cable_hides_no_frame_lost_on_air() -> None:
-    sent = blocks_from(0.0, 100)
-    dongle = [rotorlink.wire(rotorlink.DongleStatus(0, k, 20_000 * k, 0, 0, -60).pack()) for k in range(100)]
-    mixed = [(s, part) for k, (s, frame) in enumerate(sent) for part in (dongle[k], frame) if k != 40]
-    pipeline, _, _ = decoded(mixed)
-    assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (1, 1)
-
-
 @settings(max_examples=cases(40, 200))
 @given(st.sets(st.integers(4, 89), max_size=60), st.booleans(), st.integers(1, 2))
 def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_seq: bool, behind: int) -> None:
@@ -470,17 +400,6 @@ def test_lost_radio_frames_are_reported_with_count_and_span() -> None:
     assert (samples["samples"], samples["span_s"]) == (60, pytest.approx(0.06))
     assert samples["time_ns"] == batches[2].time_ns[0]
     assert pipeline.losses == {"radio_frames": 3, "cable_frames": 0, "damaged_frames": 0, "samples": 60}
-
-
-def test_lost_cable_frames_are_reported_with_count_and_span() -> None:
-    pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-    parts = []
-    for seq, i in ((7, 0), (8, 1), (11, 4)):
-        inner = rotorlink.IndexMark(1, i, 50_000 * i, i)
-        parts.append(rotorlink.wire(rotorlink.Wrapped(1, seq, 50_000 * i, -60, inner).pack()))
-    _, events = feed(pipeline, parts)
-    reported = [(set(e.facts) - {"span_s"}, e.facts["span_s"]) for e in events if e.kind == "gap"]
-    assert reported == [({"cable_frames"}, pytest.approx(0.15))], "the air had brought what the cable lost"
 
 
 def test_losses_of_air_and_cable_are_counted_separately() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.rotorlink.sender_clock import SenderClock
+from daq.drivers.rotorlink.sender import Sender
 from daq.items import RX, Batch, DeviceEvent
 from tests.daq.test_xbee_stream import START_NS, api, pipeline
 
@@ -207,7 +207,7 @@ def test_a_late_block_whose_index_does_not_fit_its_time_is_of_another_node(off_m
     ],
 )
 def test_what_a_restart_cannot_explain_is_late(behind_us: int, up_us: int, passed_us: int, late: bool) -> None:
-    clock = SenderClock()
-    assert not clock.is_late(up_us, START_NS, up_us)
-    clock.has_restarted((up_us + behind_us) % 2**32, START_NS)
-    assert clock.is_late(up_us, START_NS + 1000 * passed_us, up_us) is late
+    sender = Sender()
+    assert not sender.is_late(up_us, START_NS, up_us)
+    sender.feed(0, (up_us + behind_us) % 2**32, START_NS)
+    assert sender.is_late(up_us, START_NS + 1000 * passed_us, up_us) is late

@@ -153,9 +153,9 @@ def test_frames_from_elsewhere_are_counted_and_reported_once() -> None:
 
 def test_many_foreign_frames_fill_neither_log_nor_memory() -> None:
     into = pipeline()
-    _, events = feed(into, [api(block(0), source=f"0013A200{i:08X}") for i in range(200)])
-    assert len(events) == len(into._foreign) < 20
-    assert into.losses["foreign_frames"] == 200
+    _, events = feed(into, [api(block(0), source=f"0013A200{i:08X}") for i in range(200)] * 2)
+    assert [event.facts["source"] for event in events] == [f"0013A200{i:08X}" for i in range(16)]
+    assert into.losses["foreign_frames"] == 400
 
 
 def test_a_frame_that_names_no_sender_is_not_taken_for_the_nodes() -> None:
@@ -188,7 +188,10 @@ def test_signal_strength_of_a_frame_an_answer_or_the_opening() -> None:
         ],
     )
     assert into.rssi_dBm == -40
-    assert pipeline(rssi_dBm="strong").rssi_dBm is None
+    feed(into, [module_frame("88 01 44 42 00 01 00")])
+    assert into.rssi_dBm == -256
+    for known in ("strong", "-50", True):
+        assert pipeline(rssi_dBm=known).rssi_dBm is None
 
 
 @pytest.mark.parametrize(
@@ -203,6 +206,7 @@ def test_signal_strength_of_a_frame_an_answer_or_the_opening() -> None:
         ("89 05 EE", "acknowledge", "0xEE", {"frame_id": 5, "delivery_status": 0xEE}),
         ("88 01 41 50 00 02", "reply", "1 AP 02 ok", {"frame_id": 1, "command": "AP", "status": 0}),
         ("88 01 4E 50 02", "reply", "1 NP  invalid command", {"frame_id": 1, "command": "NP", "status": 2}),
+        ("88 01 41 50 04 02", "reply", "transmission failed", {"frame_id": 1, "command": "AP", "status": 4}),
         ("88 01 4E 50 77", "reply", "status 119", {"frame_id": 1, "command": "NP", "status": 0x77}),
         ("92 01 02", "foreign", "0x92", {"frame_type": 0x92}),
     ],

@@ -3,13 +3,14 @@
 Samples have the time of the beacon, which the base station sends. The base station answers a periodic query with the
 beacon's time. This answer is on the line immediately, while sweeps wait in the node until a packet is full and until
 its turn on air has come. The lag of the newest answer is therefore the lag of the samples in the clock map. Packets
-that come late wait for their place, see `late`.
+that come after a gap wait for those that fill it. Tick and time of a sweep contradict one another after a new start of
+the node or of the beacon.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,11 @@ from daq.clock import ClockMap, ClockSeed
 from daq.drivers.microstrain import wire
 from daq.drivers.microstrain.answers import Answer, beacon_of
 from daq.drivers.microstrain.framing import PacketSearch
-from daq.drivers.microstrain.late import Arrived, LatePackets
-from daq.drivers.microstrain.order import SweepOrder
 from daq.drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
 from daq.drivers.microstrain.settings import MicroStrainNode
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.numbered.messages import Count, Stretch
+from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 
 BEACON_LAG = "beacon_lag_ns"
@@ -35,12 +36,20 @@ _START_NS = 5_000_000_000  # after it was switched on, a node that samples by it
 _MAX_FOREIGN_EVENTS = 16
 _CONTRADICTIONS = 3  # consecutive packets with other channels or another rate than the rig file's
 _WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
+_TICKS = 65_536
+_CLOCK_NS = 2**62
+"""Range of the beacon's time: longer than that of any packet."""
+_LOOK_AHEAD_NS, _MAX_LATE_S = 2e9, 10.0
+"""Longest wait for a repeated packet, and age of one that is no new start; the maker states none."""
+_MAX_HOST_LATE_NS = 120_000_000_000  # largest lateness of a host
 _MAX_ANGLE_RAD = 1e6
 _TURN_RAD = 2 * math.pi
 _LOCKS_RAD = (0.0, math.pi)  # angles of the closed locks, around which the angles begin
 _FAULTS = (channels.ENCODER_FAULT_A, channels.ENCODER_FAULT_B)
 
 Items = list[Batch | DeviceEvent]
+Rows = NDArray[np.void]
+"""Sweeps: time of the beacon, `ns`, and `values` of the used channels, shape (n,)."""
 
 
 class MicroStrainPipeline:
@@ -52,7 +61,6 @@ class MicroStrainPipeline:
         has_reported, complaint: see DescribesItself; every packet has the node's channels and rate.
         set_up_lost: see NoticesLostSetUp; the command that sets the beacon resets it.
         base_rssi_dBm, node_rssi_dBm: signal strength of the newest packet, dBm; None if unknown.
-        repeated_packets: number of packets that came again.
     """
 
     def __init__(
@@ -64,16 +72,18 @@ class MicroStrainPipeline:
         self.set_up_lost: str = ""
         self.base_rssi_dBm: int | None = None
         self.node_rssi_dBm: int | None = None
-        self.repeated_packets: int = 0
         self._device, self._settings, self._quantities = device, settings, quantities
         self._search = PacketSearch(settings.aspp)
-        self._order = SweepOrder(settings.rate_Hz)
-        self._late = LatePackets(self._order, settings.rate_Hz)
+        self._period_ns = 1e9 / settings.rate_Hz
+        clock = (_CLOCK_NS, self._period_ns, round(_MAX_LATE_S * settings.rate_Hz))
+        count = Count(_TICKS, self._period_ns, 1.0, *clock, look_ahead_ns=_LOOK_AHEAD_NS)
+        self._order = NumberedStream[Rows](count, np.concatenate)
+        self._newest: tuple[int, int] | None = None  # time of the beacon, and arrival, of the newest sample, ns
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         known = identity.get(BEACON_LAG)
         self._lag: tuple[int, int | None] | None = (known, None) if type(known) is int else None
         self._index = 0  # number of the next sample
-        self._run: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []  # times and values of consecutive packets
+        self._run: list[Stretch[Rows]] = []  # consecutive packets
         self._missing = 0  # number of samples missing before them
         self._angles = [
             ContinuedAngle(settings.slope_a_rad, settings.offset_a_rad, _LOCKS_RAD[0] if settings.turns else None),
@@ -104,13 +114,10 @@ class MicroStrainPipeline:
             out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         for packet in found.packets:
             out += self._packet(packet, host_ns)
-        while (waited := self._late.next(host_ns)) is not None:
-            out += self._placed(waited)
-        if not data:
-            out += self._all_placed()
+        out += self._placed(self._order.at(host_ns) if data else self._order.end())
         if self._switched_on_ns is not None and host_ns - self._switched_on_ns > _START_NS:
             self.set_up_lost = "the node was switched on and does not sample"
-        return out + self._run_ended(host_ns)
+        return out + self._run_ended()
 
     def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
         if packet.address == BASE_ADDRESS and packet.kind in wire.REPLIES:
@@ -221,45 +228,47 @@ class MicroStrainPipeline:
             return wrong
         self.has_reported, self._switched_on_ns = True, None
         self.base_rssi_dBm, self.node_rssi_dBm = packet.base_rssi_dBm, packet.node_rssi_dBm
-        arrived = Arrived(sweeps, host_ns)
-        out = self._all_placed() if self._late.contradicts(arrived) else []
-        if self._late.take(arrived) is None:
-            return out
-        out += self._placed(arrived)
-        while (waited := self._late.next(host_ns)) is not None:
-            out += self._placed(waited)
-        return out
-
-    def _all_placed(self) -> Items:
-        """Return the samples of all waiting packets."""
-        return [item for waited in self._late.end() for item in self._placed(waited)]
-
-    def _placed(self, arrived: Arrived) -> Items:
-        sweeps, host_ns = arrived
-        place = self._order.feed(sweeps.tick, sweeps.time_ns, len(sweeps.values), host_ns)
-        if place.state == "repeated":
-            self.repeated_packets += 1
-            return []
-        out = self._run_ended(host_ns) if place.missing or place.state != "next" else []
-        if place.state == "node":
-            out.append(DeviceEvent("restart", self._device, "the node started to sample again: its ticks restart"))
-        elif place.state == "beacon":
-            out.append(DeviceEvent("restart", self._device, "the beacon's time was set: the clock restarts"))
-            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm), None
-        if self._is_beacon_new and place.state != "next":
-            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm), False
-        self._missing += place.missing
-        period_ns = 1e9 / self._settings.rate_Hz
-        device_ns = sweeps.time_ns + np.rint(np.arange(len(sweeps.values)) * period_ns).astype(np.int64)
         columns = [sweeps.channels.index(number) for number in self._settings.used_channels]
-        self._run.append((device_ns[place.known :], sweeps.values[place.known :, columns]))
+        rows = np.empty(len(sweeps.values), [("ns", np.int64), ("values", np.float64, len(columns))])
+        rows["ns"] = sweeps.time_ns + np.rint(np.arange(len(rows)) * self._period_ns).astype(np.int64)
+        rows["values"] = sweeps.values[:, columns]
+        numbers = (sweeps.tick + np.arange(len(rows))) % _TICKS
+        return self._placed(self._order.feed(numbers, rows, host_ns, rows["ns"]))
+
+    def _placed(self, stretches: Sequence[Stretch[Rows]]) -> Items:
+        return [item for stretch in stretches for item in self._stretch(stretch)]
+
+    def _stretch(self, stretch: Stretch[Rows]) -> Items:
+        """Add a stretch to the consecutive packets, or return those so far and the event of a new start."""
+        first_ns, host_ns = int(stretch.rows["ns"][0]), stretch.host_ns
+        why = self._restart(first_ns, stretch)
+        out = self._run_ended() if why or stretch.lost else []
+        if why:
+            out.append(DeviceEvent("restart", self._device, why))
+        self._missing = 0 if stretch.is_restart else self._missing + stretch.lost
+        self._newest = int(stretch.rows["ns"][-1]), host_ns
+        self._run.append(stretch)
         return out
 
-    def _run_ended(self, host_ns: int) -> Items:
+    def _restart(self, first_ns: int, stretch: Stretch[Rows]) -> str:
+        """Return why numbers or times do not continue in a stretch; empty if they do."""
+        newest_ns, heard_ns = self._newest or (first_ns - round(self._period_ns), stretch.host_ns)
+        passed_ns = first_ns - newest_ns
+        off_ns = passed_ns - (stretch.lost + 1) * self._period_ns
+        is_ahead = passed_ns > stretch.host_ns - heard_ns + _MAX_HOST_LATE_NS
+        if passed_ns <= 0 or is_ahead or (not stretch.is_restart and abs(off_ns) > self._period_ns / 2):
+            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm), None
+            return "the beacon's time was set: the clock restarts"
+        if stretch.is_restart and self._is_beacon_new:
+            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm), False
+        return "the node started to sample again: its ticks restart" if stretch.is_restart else ""
+
+    def _run_ended(self) -> Items:
         """Return the samples of the consecutive packets so far, after the event about the samples missing before."""
         if not self._run:
             return []
-        device_ns, used = (np.concatenate(parts) for parts in zip(*self._run, strict=True))
+        rows, host_ns = np.concatenate([each.rows for each in self._run]), self._run[-1].host_ns
+        device_ns, used = rows["ns"], rows["values"]
         missing, self._missing = self._missing, 0
         self._run.clear()
         time_ns = self._clock.map(device_ns, self._arrival_ns(int(device_ns[-1]), host_ns))
@@ -271,13 +280,9 @@ class MicroStrainPipeline:
             out += self._timed_by_arrival(f"the base station answers no query for {_LAG_VALID_NS / 1e9:.0f} s")
         if missing:
             self.losses["samples"] += missing
+            signal = {} if self.base_rssi_dBm is None else {"rssi_dBm": self.base_rssi_dBm}
             span_s = missing / self._settings.rate_Hz
-            facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
-            if self.base_rssi_dBm is not None:
-                facts["rssi_dBm"] = self.base_rssi_dBm
-            out.append(
-                DeviceEvent("gap", self._device, f"{number_of(missing, 'sample')} lost ({span_s * 1e3:.1f} ms)", facts)
-            )
+            out.append(lost_samples(self._device, missing, span_s, int(time_ns[0]), **signal))
         out.append(Batch(channels.PENDULUMS, time_ns, sequence, self._angle_columns(used, sequence, device_ns)))
         if self._quantities is not None:
             columns = {name: used[:, 2 + k].copy() for k, name in enumerate(self._settings.quantities)}
@@ -357,9 +362,7 @@ class ContinuedAngle:
     """
 
     def __init__(self, slope_rad: float, offset_rad: float, near_rad: float | None) -> None:
-        self._slope, self._offset = slope_rad, offset_rad
-        self._last = near_rad  # newest angle without the turns added to it
-        self._turn = 0
+        self._slope, self._offset, self._last = slope_rad, offset_rad, near_rad
 
     def of(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the angles of consecutive values, rad, shape (n,); NaN for values that are not a reading."""
@@ -369,9 +372,6 @@ class ContinuedAngle:
         angles[~valid] = np.nan
         if self._last is None or not valid.any():
             return angles
-        found = angles[valid]
-        steps = -np.rint(np.diff(found, prepend=self._last) / _TURN_RAD).astype(np.int64)
-        turn = self._turn + np.cumsum(steps)
-        self._last, self._turn = float(found[-1]), int(turn[-1])
-        angles[valid] = found + turn * _TURN_RAD
+        angles[valid] = np.unwrap(np.concatenate([[self._last], angles[valid]]))[1:]
+        self._last = float(angles[valid][-1])
         return angles

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
@@ -15,17 +16,17 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.node_choice import NodeChoice
 from daq.drivers.rotorlink.node_clock import MAX_WAIT_NS, NodeClock, Step
-from daq.drivers.rotorlink.repeats import Arrived, Repeats
-from daq.drivers.rotorlink.sender_clock import SenderClock
-from daq.drivers.rotorlink.sequence import SequenceCounter
+from daq.drivers.rotorlink.sender import Sender
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent, loss_words
+from daq.items import TX, Batch, DeviceEvent, loss_words, lost_samples
+from daq.numbered.look_ahead import LookAhead, Run
 from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
 
 _WRAP = 2**32
 _NODES = 256
-_MAX_SILENCE_US = 30_000_000  # after a longer silence the seq, which wraps, does not show a restart
+_LOOK_AHEAD_NS = 1e9
+"""Longest wait for a block that is sent again."""
 _MAX_STEP_BACK_US = 1_000_000  # a block that is older, and not marked as repeated, shows a restart of the node
 
 
@@ -59,11 +60,9 @@ class NodePipeline:
         self._marks_phase = config.index_marks
         self._tolerance_ppm = config.clock_tolerance_ppm
         self._decoder = FrameDecoder()
-        self._cable = SequenceCounter()
         self._cable_lost = 0  # frames lost on the cable since the last node frame; they may have contained node frames
         self._joined = False
-        self._last_dongle_us: int | None = None
-        self._dongle = SenderClock()
+        self._dongle = Sender()
         self._wrapped = False  # whether node frames arrive in frames of a dongle, which counts them
         self._choice = NodeChoice(device, config.node, _node_of(identity))
         self._contradiction = ""  # between the node's status and the rig file
@@ -92,13 +91,11 @@ class NodePipeline:
         return self._choice.complaint or self._contradiction
 
     def _restart(self) -> None:
-        self._air = SequenceCounter()
-        self._time = SenderClock()
+        self._node = Sender()
         self._clock = ClockMap(self._tolerance_ppm)
         self._next_index: int | None = None
         self._next_us = 0  # node time at which that sample is due
-        self._repeats = Repeats()
-        self._last_us: int | None = None
+        self._ahead = LookAhead[list[rotorlink.EncoderBlock]](0.0, _LOOK_AHEAD_NS)
         self._own = NodeClock()
         self._held: list[tuple[rotorlink.IndexMark, int]] = []  # marks that wait for the next block, their host times
         self._mark_sequence.restart()
@@ -121,7 +118,7 @@ class NodePipeline:
 
     def waited(self) -> list[Batch | DeviceEvent]:
         """Return the samples that wait for earlier ones, which will not arrive any more."""
-        return [*self._blocks(self._repeats.end()), *self._released(None)]
+        return [*self._blocks(self._ahead.end()), *self._released(None)]
 
     def damaged(self, reason: str) -> DeviceEvent:
         """Count a dropped frame; return the event with the reason."""
@@ -145,7 +142,7 @@ class NodePipeline:
                     out += self._node_frame(inner, host_ns)
             elif isinstance(frame, rotorlink.Skipped) and frame.kind not in frame.NODES:
                 if frame.kind in frame.DONGLES:
-                    self._count("cable_frames", self._cable.feed(frame.seq)[0], 0.0, out)
+                    self._count("cable_frames", self._dongle.feed(frame.seq, None, host_ns).lost, 0.0, out)
             elif not isinstance(frame, rotorlink.NodeCommand | rotorlink.Ping):
                 out += self._node_frame(frame, host_ns)
         return out
@@ -154,21 +151,15 @@ class NodePipeline:
         self, frame: rotorlink.Wrapped | rotorlink.DongleStatus, host_ns: int, out: list[Batch | DeviceEvent]
     ) -> bool:
         """Count the frames lost on the cable; return whether the frame is a repeated one."""
-        if self._dongle.has_restarted(frame.dongle_time_us, host_ns):
+        place = self._dongle.feed(frame.seq, frame.dongle_time_us, host_ns)
+        if place.is_restart:
             out.append(DeviceEvent("dongle", self._device, "the dongle started again: its counters restart"))
-            self._dongle, self._last_dongle_us = SenderClock(), None
-            self._dongle.has_restarted(frame.dongle_time_us, host_ns)
-            self._cable.reset()
-        lost, repeated = self._cable.feed(frame.seq)
+            self._dongle = Sender()
+            place = self._dongle.feed(frame.seq, frame.dongle_time_us, host_ns)
         self._wrapped = self._wrapped or isinstance(frame, rotorlink.Wrapped)
-        self._cable_lost += lost if self._wrapped else 0
-        self._count("cable_frames", lost, self._since_dongle(frame.dongle_time_us), out)
-        return repeated
-
-    def _since_dongle(self, dongle_us: int) -> float:
-        """Return the time since the dongle's preceding frame, s."""
-        last, self._last_dongle_us = self._last_dongle_us, dongle_us
-        return 0.0 if last is None else _seconds(last, dongle_us)
+        self._cable_lost += place.lost if self._wrapped else 0
+        self._count("cable_frames", place.lost, place.span_s, out)
+        return place.is_repeated
 
     def _count(self, what: str, lost: int, span_s: float, out: list[Batch | DeviceEvent]) -> None:
         """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s; 0: unknown."""
@@ -183,38 +174,33 @@ class NodePipeline:
         if not self._is_ours(frame, out):
             return out
         block = frame if isinstance(frame, rotorlink.EncoderBlock) else None
-        late = self._is_late(frame, host_ns)
-        again = late or (block is not None and bool(block.flags & rotorlink.FLAG_REPEATS))
-        node_us = None if again else getattr(frame, "node_time_us", None)
-        span_s = 0.0 if node_us is None or self._last_us is None else _seconds(self._last_us, node_us)
-        lost, repeated, restarted = self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
-        if repeated and (not again or block is None):
+        is_old = self._is_late(frame, host_ns) or (block is not None and bool(block.flags & rotorlink.FLAG_REPEATS))
+        node_us = None if is_old else getattr(frame, "node_time_us", None)
+        span_us = 0 if block is None or is_old else (len(block.counts) - 1) * block.period_us
+        place = self._node.feed(frame.seq, node_us, host_ns, span_us=span_us, is_old=is_old)
+        if place.is_repeated and not (is_old and block is not None):
             return out
-        if restarted:
+        if place.is_restart or (block is not None and not is_old and self._fell_back(block)):
             out += self.waited()
             out.append(DeviceEvent("restart", self._device, "the node started again: its counters restart"))
             self._restart()
-            self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
-        if node_us is not None and (self._last_us is None or 0 < (node_us - self._last_us) % _WRAP < _WRAP // 2):
-            self._last_us = node_us
-        lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # frames lost on the cable were not lost on air
-        if not repeated:
+            place = self._node.feed(frame.seq, node_us, host_ns, span_us=span_us, is_old=is_old)
+        lost = max(0, place.lost - self._cable_lost)  # frames lost on the cable were not lost on air
+        self._cable_lost = 0
+        if not place.is_repeated:
             self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
-        self._count("radio_frames", lost, span_s, out)
-        return [*out, *self._content(frame, host_ns, late)]
+        self._count("radio_frames", lost, place.span_s, out)
+        return [*out, *self._content(frame, host_ns)]
 
     def _is_late(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> bool:
         """Whether the radio itself delivers a frame late, or once more; overridden for radios that do so."""
         return False
 
-    def _content(
-        self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int, late: bool
-    ) -> list[Batch | DeviceEvent]:
+    def _content(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
         """Return the samples and events of a node frame that has been counted."""
         match frame:
             case rotorlink.EncoderBlock():
-                arrived = Arrived(self._index(frame.first_index), frame, host_ns)
-                return self._blocks(self._repeats.feed(arrived, self._next_index, late=late))
+                return self._block(frame, host_ns)
             case rotorlink.IndexMark() if self._marks_phase:
                 return self._index_mark(frame, host_ns)
             case rotorlink.LockEvent():
@@ -228,7 +214,7 @@ class NodePipeline:
 
     def _index_mark(self, frame: rotorlink.IndexMark, host_ns: int) -> list[Batch | DeviceEvent]:
         """Return the sample of a mark, unless the mark waits for the next block."""
-        stated_us = self._time.unwrap(frame.node_time_us)
+        stated_us = self._node.unwrap(frame.node_time_us)
         since_ns = self._held[0][1] if self._held else host_ns
         if self._own.is_out_of_place(stated_us) and host_ns - since_ns < MAX_WAIT_NS:
             self._held.append((frame, host_ns))
@@ -256,7 +242,7 @@ class NodePipeline:
         held, self._held = self._held, []
         out: list[Batch | DeviceEvent] = []
         for frame, host_ns in held:
-            own_us = self._time.unwrap(frame.node_time_us) - self._own.shift_us
+            own_us = self._node.unwrap(frame.node_time_us) - self._own.shift_us
             if due is not None:
                 expected_ns = self._mark_sequence.due_ns(frame.revolutions)
                 at_us = due[1] if expected_ns is None else 1e-3 * expected_ns
@@ -274,7 +260,7 @@ class NodePipeline:
         return DeviceEvent("clock", self._device, text, facts)
 
     def _lock_event(self, frame: rotorlink.LockEvent, host_ns: int) -> DeviceEvent:
-        node_us = np.array([self._time.unwrap(frame.node_time_us) - self._own.shift_us])
+        node_us = np.array([self._node.unwrap(frame.node_time_us) - self._own.shift_us])
         name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
         facts = {
             "pendulum": frame.pendulum,
@@ -289,7 +275,7 @@ class NodePipeline:
             result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
             facts = {"command_seq": frame.command_seq, "result": frame.result}
             return DeviceEvent("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)
-        node_us = np.array([self._time.unwrap(frame.received_us) - self._own.shift_us])
+        node_us = np.array([self._node.unwrap(frame.received_us) - self._own.shift_us])
         time_ns = int(self._clock.map(node_us * 1000, host_ns, learn=False)[0])
         facts = {"ping_seq": frame.ping_seq, "time_ns": time_ns}
         return DeviceEvent("acknowledge", self._device, f"ping {frame.ping_seq} received", facts)
@@ -314,33 +300,6 @@ class NodePipeline:
         }
         return [*out, DeviceEvent("status", self._device, f"battery {frame.battery_mv} mV", facts)]
 
-    def _counted(
-        self, seq: int, block: rotorlink.EncoderBlock | None, node_us: int | None, host_ns: int, again: bool
-    ) -> tuple[int, bool, bool]:
-        """Count a frame by its seq and time.
-
-        Args:
-            seq: number of the frame.
-            block: the frame if it is an encoder block that is not marked as repeated, otherwise None.
-            node_us: node time of the frame if it is not marked as repeated, µs.
-            host_ns: host time of its arrival, ns since 1970.
-            again: whether the frame is marked as repeated.
-
-        Returns:
-            Number of frames missing before it, whether it is a repeated frame, and whether its node has restarted.
-        """
-        before_us, restarts = self._time.newest_us, self._air.restarts
-        span_us = 0 if block is None else (len(block.counts) - 1) * block.period_us
-        if node_us is not None and self._time.has_restarted((node_us + span_us) % _WRAP, host_ns, span_us):
-            return 0, False, True
-        if self._time.newest_us - before_us > _MAX_SILENCE_US:
-            lost, repeated = self._air.go_on(seq), False
-        else:
-            lost, repeated = self._air.feed(seq, again=again)
-        if self._air.restarts > restarts or (block is not None and not repeated and self._fell_back(block)):
-            return 0, False, True
-        return lost, repeated, False
-
     def _is_ours(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, out: list[Batch | DeviceEvent]) -> bool:
         """Whether a frame is of this rig's node."""
         before = self._choice.node
@@ -361,26 +320,35 @@ class NodePipeline:
             return False
         return (self._next_index - self._index(block.first_index)) * block.period_us > _MAX_STEP_BACK_US
 
-    def _blocks(self, arrived: Iterable[Arrived]) -> list[Batch | DeviceEvent]:
-        return [item for each in arrived for item in self._encoder(each)]
+    def _block(self, block: rotorlink.EncoderBlock, host_ns: int) -> list[Batch | DeviceEvent]:
+        """Return the samples of a block and of those that waited for it, unless it waits for others itself."""
+        first = self._index(block.first_index)
+        self._ahead.period_ns = 1000.0 * block.period_us
+        self._ahead.fills_gaps |= bool(block.flags & rotorlink.FLAG_REPEATS)
+        index = first + np.arange(len(block.counts), dtype=np.int64)
+        expected = first if self._next_index is None else self._next_index
+        return self._blocks(self._ahead.feed(first, Run(index, index, [block], host_ns), expected))
 
-    def _encoder(self, arrived: Arrived) -> list[Batch | DeviceEvent]:
-        first, block, host_ns = arrived
-        n = len(block.counts)
+    def _blocks(self, runs: Iterable[Run[list[rotorlink.EncoderBlock]]]) -> list[Batch | DeviceEvent]:
+        return [item for each in runs for item in self._encoder(each.numbers, each.rows[0], each.host_ns)]
+
+    def _encoder(
+        self, index: NDArray[np.int64], block: rotorlink.EncoderBlock, host_ns: int
+    ) -> list[Batch | DeviceEvent]:
+        first, n = int(index[0]), len(index)
         self.battery_low = bool(block.flags & channels.BATTERY_LOW)
-        index = first + np.arange(n, dtype=np.int64)
-        first_us = self._time.unwrap(block.node_time_us)
+        first_us = self._node.unwrap(block.node_time_us)
         node_us = first_us + block.period_us * np.arange(n, dtype=np.int64)
         expected = first if self._next_index is None else self._next_index
         fresh, missing = max(0, expected - first), max(0, first - expected)
         if self._next_index == first and block.flags & rotorlink.FLAG_SAMPLES_LOST and block.period_us:
             missing = max(0, round((first_us - self._next_us) / block.period_us))  # lost in the node without an index
-        shift_us, step = self._own.shift_us, self._step_before(arrived, first_us, missing, fresh)
-        if expected < arrived.behind:
+        shift_us, step = self._own.shift_us, self._step_before(block, first_us, missing, fresh)
+        if expected < first + n:
             self._next_us = int(node_us[-1]) + block.period_us
         node_us -= self._own.shift_us
         held = self._released((shift_us, int(node_us[0])))
-        self._next_index = max(expected, arrived.behind)
+        self._next_index = max(expected, first + n)
         if fresh >= n:
             return held
         counts = block.counts[fresh:]
@@ -402,16 +370,12 @@ class NodePipeline:
             return out
         if missing:
             self.losses["samples"] += missing
-            span_s = missing * block.period_us * 1e-6
-            facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
-            out.append(
-                DeviceEvent("gap", self._device, f"{number_of(missing, 'sample')} lost ({span_s * 1e3:.2f} ms)", facts)
-            )
+            out.append(lost_samples(self._device, missing, missing * block.period_us * 1e-6, int(time_ns[0])))
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
-    def _step_before(self, arrived: Arrived, first_us: int, missing: int, fresh: int) -> Step | None:
+    def _step_before(self, block: rotorlink.EncoderBlock, first_us: int, missing: int, fresh: int) -> Step | None:
         """Take the time of a block; return the step of the node's clock before it, if its samples are new."""
-        block, n = arrived.block, len(arrived.block.counts)
+        n = len(block.counts)
         if fresh >= n:
             return None
         due_us = self._next_us + (missing - fresh) * block.period_us
@@ -426,9 +390,3 @@ def _node_of(identity: Mapping[str, Any]) -> int | None:
     if node is None or (type(node) is int and 0 <= node < _NODES):
         return node
     raise DeviceError(f"identities.json: expected a node's number, 0 to {_NODES - 1}, got {node!r:.80}")
-
-
-def _seconds(before_us: int, after_us: int) -> float:
-    """Return the time, s, from one instant to a later one of a clock that wraps at 2**32 µs; 0 for the wrong order."""
-    passed = (after_us - before_us) & 0xFFFFFFFF
-    return passed * 1e-6 if passed < 0x80000000 else 0.0

@@ -41,17 +41,12 @@ def identify(device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
         )
     values = {command: _query(settings, talk, command) for command in _QUERIES[1:]}
     identity: dict[str, Any] = {"driver": "xbee", "port": settings.port, "api_mode": settings.api_mode}
-    for name, command in (("firmware", "VR"), ("hardware", "HV")):
-        if value := values[command]:
-            identity[name] = value.hex().upper()
-    high, low = values["SH"], values["SL"]
-    if high and low:
-        identity["serial"] = f"{int.from_bytes(high, 'big'):08X}{int.from_bytes(low, 'big'):08X}"
-        if identity["serial"] == settings.node_address:
-            raise DeviceError(
-                f"{device}: node_address {settings.node_address} is that of the module at the host itself. "
-                f"Set devices.{device}.node_address to the address of the module on the rotor"
-            )
+    identity |= wire.module_identity(values)
+    if identity.get("serial") == settings.node_address:
+        raise DeviceError(
+            f"{device}: node_address {settings.node_address} is that of the module at the host itself. "
+            f"Set devices.{device}.node_address to the address of the module on the rotor"
+        )
     if payload := values["NP"]:
         identity["payload_bytes"] = int.from_bytes(payload, "big")
     if (strength := values["DB"]) and any(strength):  # 0: no packet has been received yet

@@ -43,12 +43,7 @@ def identity_turns(settings: XBeeNode) -> IdentityTurns:
         values[command] = _answer(received, number, command, mode) or b""
     node = recognise(settings, heard)
     known = {"api_mode": mode, "baud": settings.baud} | dict(node.settings if node else {})
-    parts = (("module_firmware", "VR"), ("module_hardware", "HV"))
-    identity = {name: values[key].hex().upper() for name, key in parts}
-    if values["SH"] and values["SL"]:
-        high, low = (int.from_bytes(values[key], "big") for key in ("SH", "SL"))
-        identity["module_serial"] = f"{high:08X}{low:08X}"
-    own = {name: value for name, value in identity.items() if value}
+    own = {f"module_{name}": value for name, value in wire.module_identity(values).items()}
     return FoundDevice(known, own)
 
 

@@ -136,20 +136,20 @@ class XBeePipeline(NodePipeline):
         A block shows by its index, which does not wrap for weeks, for how long its node has run. Its index fits its
         time, unless the block is of another node. Other frames show no restart if blocks do.
         """
-        if not self._air.is_behind(frame.seq):
+        if not self._node.is_behind(frame.seq):
             return False
         node_us: int | None = getattr(frame, "node_time_us", None)
         if node_us is None:
             return True
         if not isinstance(frame, rotorlink.EncoderBlock):
             up_us = node_us if self._next_index is None else _LONG_US
-            return self._time.is_late(node_us, host_ns, up_us)
-        if not self._time.is_late(node_us, host_ns, max(node_us, frame.first_index * frame.period_us)):
+            return self._node.is_late(node_us, host_ns, up_us)
+        if not self._node.is_late(node_us, host_ns, max(node_us, frame.first_index * frame.period_us)):
             return False
         if self._next_index is None:
             return True
         due_us = self._next_us - (self._next_index - self._index(frame.first_index)) * frame.period_us
-        return abs(self._time.unwrap(node_us) - due_us) <= _MAX_INDEX_ERROR_US
+        return abs(self._node.unwrap(node_us) - due_us) <= _MAX_INDEX_ERROR_US
 
     def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | DeviceEvent]:
         """Return an event about a frame of another sender or type, once for each."""

@@ -21,7 +21,7 @@ From the host:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -227,6 +227,18 @@ def _known_64(data: bytes) -> int | None:
 def _known_16(data: bytes) -> int | None:
     value = int.from_bytes(data, "big")
     return None if value >= UNKNOWN_16 else value
+
+
+def module_identity(values: Mapping[str, bytes | None]) -> dict[str, str]:
+    """Return firmware, hardware (hex) and serial (16 hex digits) of a module, those that it has answered.
+
+    Args:
+        values: values of the AT commands VR, HV, SH and SL; empty or None without an answer.
+    """
+    high, low = values["SH"], values["SL"]
+    serial = high.rjust(4, b"\0") + low.rjust(4, b"\0") if high and low else None
+    parts = {"firmware": values["VR"], "hardware": values["HV"], "serial": serial}
+    return {name: value.hex().upper() for name, value in parts.items() if value}
 
 
 # --- frames to the module --------------------------------------------------------------------------------------

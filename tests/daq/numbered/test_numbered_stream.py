@@ -218,6 +218,94 @@ def test_the_clock_of_the_sender_shows_whole_cycles_although_the_host_reads_late
     assert (lost(out), len(set(offsets(out)))) == (len(gone), 1)
 
 
+@dataclass
+class Packets:
+    """Packets of a sender whose radio loses and repeats them; they are read one after the other, with their rows.
+
+    Attributes:
+        rows: number of rows in a packet.
+        period_ms: time between two rows.
+        clock: range of the sender's clock in µs; 0 without one.
+    """
+
+    rows: int
+    period_ms: float
+    clock: int
+    came: list[tuple[float, int, int]] = field(default_factory=list[tuple[float, int, int]])
+
+    def arrive(self, packet: int, late: float = 0.0, begins: int = 0) -> None:
+        """Receive a packet later than due by a number of packets; the sender began to count at a packet."""
+        self.came.append(((packet + 1 + late) * self.rows * self.period_ms, packet, begins))
+
+    def read(self, stream: NumberedStream[list[int]]) -> list[Stretch[list[int]]]:
+        out: list[Stretch[list[int]]] = []
+        for at_ms, packet, begins in sorted(self.came):
+            true = np.arange(self.rows) + self.rows * packet
+            since = true - self.rows * begins
+            times = np.rint(since * self.period_ms * 1000).astype(np.int64) % self.clock if self.clock else None
+            out += stream.feed(since % 2**16, true.tolist(), START_NS + round(at_ms * MS), times)
+        return [*out, *stream.end()]
+
+    def stream(self) -> NumberedStream[list[int]]:
+        clock = (self.clock, 1000 * self.period_ms) if self.clock else (0, 1.0)
+        period_ns = self.period_ms * MS
+        return numbered(Count(2**16, period_ns, 1.0, *clock, late_messages=2000, look_ahead_ns=2e9))
+
+
+packets = st.builds(
+    Packets,
+    rows=st.sampled_from([1, 4, 16]),
+    period_ms=st.sampled_from([2.0, 5.0]),
+    clock=st.sampled_from([0, 2**26, 2**32]),
+)
+
+
+@given(
+    packets,
+    st.dictionaries(st.integers(3, 50), st.integers(1, 3), max_size=12),
+    st.sets(st.integers(3, 50), max_size=8),
+    st.dictionaries(st.integers(3, 50), st.integers(0, 9), max_size=8),
+)
+def test_packets_that_come_late_fill_their_gaps_and_copies_are_dropped(
+    radio: Packets, late: dict[int, int], gone: set[int], again: dict[int, int]
+) -> None:
+    """The first late packet shows that the sender sends packets again; without it gaps are not waited for for ever."""
+    late = {1: 1} | {k: by for k, by in late.items() if k not in gone}
+    for packet in range(60):
+        if packet not in gone:
+            radio.arrive(packet, late.get(packet, 0) * 1.01)
+    copies = {k: by for k, by in again.items() if k not in gone}
+    for packet, by in copies.items():
+        radio.arrive(packet, late.get(packet, 0) * 1.01 + by + 0.3)
+    stream = radio.stream()
+    found = radio.read(stream)
+    rows = [row for k in range(60) if k not in gone for row in range(radio.rows * k, radio.rows * (k + 1))]
+    assert contents(found) == rows
+    assert (lost(found), stream.repeated) == (radio.rows * len(gone), radio.rows * len(copies))
+    assert len(set(offsets(found))) == 1
+    assert not any(stretch.is_restart for stretch in found)
+
+
+@given(packets, st.floats(600.0, 900.0), st.dictionaries(st.integers(2, 7), st.integers(1, 30), max_size=5))
+def test_a_sender_whose_number_and_clock_start_again_is_no_late_one(
+    radio: Packets, ran_ms: float, again: dict[int, int]
+) -> None:
+    """Number and time of the new packets are those of earlier ones; they reach the next ones after the decision."""
+    ran = round(ran_ms / (radio.rows * radio.period_ms))
+    off = round(300 / (radio.rows * radio.period_ms)) + 1
+    for packet in range(ran):
+        radio.arrive(packet)
+    for packet, by in again.items():
+        radio.arrive(packet, min(by, ran - 1 - packet) + 0.3)
+    enough = 2 * off
+    for packet in range(ran + off, ran + off + enough):
+        radio.arrive(packet, begins=ran + off)
+    found = radio.read(radio.stream())
+    after = radio.rows * (ran + off)
+    assert contents(found) == [*range(radio.rows * ran), *range(after, after + radio.rows * enough)]
+    assert [stretch.rows[0] for stretch in found if stretch.is_restart] == [after]
+
+
 def _end_of(ends: list[float]) -> Callable[[tuple[float, int, int]], float]:
     """Return the end of the read that a message belongs to."""
     return lambda message: ends[int(np.searchsorted(ends, message[0]))]
