@@ -71,6 +71,11 @@ class NumberedStream(Generic[R]):
         self._why: _Why = "late"
         self._stands_still = False  # whether the newest message had the number of that before it
 
+    @property
+    def pace(self) -> float:
+        """Time between two messages by the host's clock, relative to the stated one; 1 as long as no other is found."""
+        return self._due.pace
+
     def feed(
         self, numbers: NDArray[np.int64], rows: R, host_ns: int, times: NDArray[np.int64] | None = None
     ) -> list[Stretch[R]]:

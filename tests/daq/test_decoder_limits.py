@@ -11,7 +11,6 @@ import pytest
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.rows import RowOrder
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.riftek import wire as riftek
 from daq.drivers.riftek.decoder import ResultDecoder
@@ -23,7 +22,6 @@ from daq.errors import DeviceError
 from daq.transports.can_frames import CanFrame
 
 WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
-PERIOD = 25  # ticks of a sample at 4 kHz
 
 
 # --- optoNCDT --------------------------------------------------------------------------------------------------
@@ -97,10 +95,7 @@ def test_a_timestamp_has_16_bits_of_each_word(low: int, high: int) -> None:
 
 
 def trial(announced: tuple[str, ...] = ("DIST",)) -> WordsTrial:
-    def follows(before: np.ndarray, after: np.ndarray) -> bool:
-        return bool(after[0] - before[0] == 1)
-
-    return WordsTrial(optoncdt.BlockDecoder(WORDS), announced, follows)
+    return WordsTrial(optoncdt.BlockDecoder(WORDS), announced)
 
 
 def test_three_blocks_that_follow_one_another_decide_for_the_words() -> None:
@@ -161,141 +156,6 @@ def test_undecided_bytes_are_4096_at_most(count: int, decision: bool | None) -> 
     undecided = trial()
     assert undecided.feed(b"\xff" * count)[0] is decision
     assert len(undecided.held) == count
-
-
-def order(*rows: tuple[int, int], at_ns: int = 0) -> RowOrder:
-    """The order of a laser at 4 kHz after these rows."""
-    found = RowOrder(PERIOD)
-    sort(found, list(rows), at_ns)
-    return found
-
-
-def sort(of: RowOrder, rows: list[tuple[int, int]], at_ns: int = 0) -> tuple[list[tuple[bool, list[int]]], int]:
-    """Counters of each sequence, with whether it begins with a restart, and the number of dropped rows."""
-    array = np.array(rows, np.int64).reshape(-1, 2)
-    found = of.sort(array, array[:, :1].astype(np.uint32), at_ns)
-    return [(restarted, words[:, 0].tolist()) for restarted, words in found.stretches], found.dropped
-
-
-@pytest.mark.parametrize(
-    ("counts", "ticks", "fits"),
-    [
-        (1, 25, True),
-        (1, 27, True),  # two ticks of rounding
-        (1, 28, False),
-        (1, 23, True),
-        (1, 22, False),
-        (0, 0, False),
-        (4000, 100_000, True),  # 1 s
-        (4001, 100_025, False),
-        (4000, 99_899, True),  # and a thousandth of the gap
-        (4000, 99_897, False),
-        (1 << 18, 25 << 18, False),
-        (-1, -25, False),
-    ],
-)
-def test_counter_and_timestamp_advance_together_over_at_most_a_second(counts: int, ticks: int, fits: bool) -> None:
-    for counter, tick in ((1000, 70_000), (2**18 - 1, 2**32 - 1)):  # both wrap
-        before = np.array([counter, tick])
-        after = np.array([(counter + counts) % 2**18, (tick + ticks) % 2**32])
-        assert bool(RowOrder(PERIOD).follows(before, after)) is fits
-
-
-def test_a_damaged_row_is_dropped_when_the_next_row_continues_the_last_good_one() -> None:
-    rows = [(k, 25 * k) for k in range(6)]
-    found = order(*rows[:2])
-    assert not found.in_doubt
-    assert sort(found, [(77, 5)]) == ([], 0)
-    assert found.in_doubt
-    assert sort(found, rows[2:4]) == ([(False, [2, 3])], 1)
-    assert not found.in_doubt
-
-
-def test_two_rows_begin_a_stream_and_three_show_a_restart() -> None:
-    found = RowOrder(PERIOD)
-    assert found.in_doubt
-    assert sort(found, [(500, 12_500)]) == ([], 0)
-    assert sort(found, [(501, 12_525)]) == ([(False, [500, 501])], 0)
-    assert sort(found, [(0, 4_000_000_000), (1, 4_000_000_025)]) == ([], 0)
-    assert sort(found, [(2, 4_000_000_050)]) == ([(True, [0, 1, 2])], 0)
-
-
-@pytest.mark.parametrize(
-    ("gap_s", "host_s", "restart"),
-    [
-        (5.0, 3.0, False),  # bytes may wait for 2 s
-        (29.9, 0.0, False),  # a host that stalled; a restart explains it in few cases
-        (30.1, 28.2, False),
-        (30.1, 28.0, True),
-    ],
-)
-def test_a_long_gap_is_no_restart_if_the_time_of_the_host_allows_it(gap_s: float, host_s: float, restart: bool) -> None:
-    found = order((1, 25), (2, 50))
-    samples = round(gap_s * 4000)
-    rows = [((2 + samples + k) % 2**18, 50 + 25 * (samples + k)) for k in range(4)]
-    stretches, dropped = sort(found, rows, round(host_s * 1e9))
-    assert (stretches[0][0], dropped, len(stretches[0][1])) == (restart, 0, 4)
-
-
-def test_two_rows_resume_after_a_gap_that_the_host_has_seen() -> None:
-    found = order((1, 25), (2, 50))
-    assert sort(found, [(8002, 200_050), (8003, 200_075)], 2_000_000_000) == ([(False, [8002, 8003])], 0)
-
-
-def test_another_period_is_found_in_eight_rows() -> None:
-    found = order((1, 25), (2, 50))
-    rows = [(3 + k, 80 + 50 * k) for k in range(8)]
-    assert sort(found, rows[:7])[0] == []
-    stretches, dropped = sort(found, rows[7:])
-    assert (sum(len(kept) for _, kept in stretches) + dropped, found.period_ticks) == (8, 50.0)
-    assert not any(restarted for restarted, _ in stretches)
-    assert not found.is_period_measured
-
-
-def test_a_changed_period_is_measured_again() -> None:
-    found = order((0, 0))
-    for k in range(1, 70):
-        sort(found, [(k, 25 * k)])
-    assert found.is_period_measured
-    sort(found, [(70 + k, 1725 + 50 * (k + 1)) for k in range(8)])
-    assert (found.is_period_measured, found.period_ticks) == (False, 50.0)
-
-
-def test_the_period_is_compared_after_64_and_4096_samples() -> None:
-    """A drift of 1 % within the limit of single steps is found by the mean over 64 samples."""
-    found = order((0, 0), (1, 25))
-    for k in range(2, 65):
-        assert not found.is_period_measured
-        sort(found, [(k, round(25.25 * k))])
-    assert not found.is_period_measured
-    sort(found, [(65, round(25.25 * 65))])
-    assert found.is_period_measured
-    assert found.period_ticks == pytest.approx(25.25, abs=0.02)
-
-
-def test_rows_in_the_wrong_order_are_dropped() -> None:
-    found = order((1, 25), (2, 50))
-    assert sort(found, [(3, 75), (5, 125), (4, 100), (6, 150)]) == ([(False, [3, 5, 6])], 1)
-    assert sort(found, [(7, 175), (9, 225), (8, 200)]) == ([(False, [7, 9])], 0)
-    assert sort(found, [(10, 250)]) == ([(False, [10])], 1)
-
-
-@pytest.mark.parametrize(
-    ("period", "samples", "measured"),
-    [
-        (25.03, 66, 25.0),  # 64 samples show a period to 2/64 tick, and a clock may deviate by 2e-4
-        (25.05, 66, 1603 / 64),
-        (25.004, 4100, 25.0),  # 4096 samples to 2/4096 tick
-        (25.0075, 4100, 25.0075),
-    ],
-)
-def test_a_period_is_replaced_if_rounding_and_the_clock_do_not_explain_it(
-    period: float, samples: int, measured: float
-) -> None:
-    found = RowOrder(PERIOD)
-    for first in range(0, samples, 2):
-        sort(found, [(k, round(period * k)) for k in (first, first + 1)])
-    assert found.period_ticks == pytest.approx(measured, abs=2e-4)
 
 
 # --- RIFTEK ----------------------------------------------------------------------------------------------------

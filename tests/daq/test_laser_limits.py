@@ -74,18 +74,18 @@ def test_a_gap_of_more_than_a_quarter_of_the_counter_s_wrap_is_counted_exactly(l
 
 @pytest.mark.parametrize(("deviation", "reported"), [(0.0025, True), (-0.0025, True), (0.0015, False), (0.0, False)])
 def test_a_rate_near_that_of_the_rig_file_is_reported_when_it_is_certain(deviation: float, reported: bool) -> None:
-    """At 25 kHz the ticks of 4096 samples are needed, which all follow one another."""
+    """Ticks of some milliseconds show no rate to two thousandths."""
     pipe = laser(25_000.0)
-    found: list[list[DeviceEvent]] = []
+    found: list[DeviceEvent] = []
     for first in range(0, 6000, 1000):
         counters = np.arange(first, first + 1000)
         ticks = np.rint(4 * counters * (1 + deviation)).astype(np.int64)
         items = pipe.feed(RX, blocks(counters, ticks), START_NS + 40_000 * int(counters[-1]))
         assert values(items, "counter") == counters.tolist()
-        found.append(events(items))
+        found += events(items)
     assert 0 < pipe.clock_std_ns < 1e7
-    assert [len(each) for each in found] == [0, 0, 0, 0, int(reported), 0]
-    for event in found[4]:
+    assert len(found) == int(reported)
+    for event in found:
         assert event.kind == "rate"
         assert event.facts["nominal_Hz"] == pytest.approx(25_000.0)
         assert event.facts["rate_Hz"] == pytest.approx(25_000.0 / (1 + deviation), rel=2e-4)

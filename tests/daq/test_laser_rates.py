@@ -56,7 +56,7 @@ def read(
     at = turn = 0
     while at < len(wire):
         end = min(at + sizes[turn % len(sizes)], len(wire))
-        newest = counters[(end - 1) // 12] - counters[0]
+        newest = counters[max(0, end // 12 - 1)] - counters[0]  # a block is sent at once
         for item in pipeline.feed(RX, wire[at:end], START_NS + round(newest / rate_Hz * 1e9)):
             if isinstance(item, Batch):
                 found += item.columns["counter"].tolist()

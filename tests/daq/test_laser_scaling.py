@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
-from hypothesis.extra.numpy import arrays
 
 from daq import channels
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
-from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
@@ -106,22 +103,6 @@ def test_words_and_metres_are_inverse(name: str) -> None:
         assert np.array_equal(
             distance_words.code(distance_words.metres(codes, range_m, scaling), range_m, scaling), codes
         )
-
-
-@given(
-    st.sampled_from(sorted(distance_words.SCALINGS)),
-    arrays(np.uint32, 20, elements=st.integers(0, 2**18 - 1)),
-    st.floats(1e-3, 0.5),
-    st.floats(0.2, 5.0),
-)
-def test_compiled_and_plain_scaling_agree_bit_by_bit(
-    name: str, codes: np.ndarray, range_m: float, to_disk: float
-) -> None:
-    scaling = distance_words.SCALINGS[name]
-    found, invalid = measure(codes, range_m, to_disk, scaling)
-    expected = (distance_words.metres(codes, range_m, scaling) - 0.5 * range_m) * to_disk
-    assert found.tobytes() == expected.tobytes()
-    assert invalid == np.count_nonzero(codes > scaling.most)
 
 
 def test_a_lone_jump_is_marked_above_the_1420s_words_too() -> None:

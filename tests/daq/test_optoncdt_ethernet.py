@@ -324,7 +324,7 @@ def test_a_counter_of_the_end_of_a_packet_gives_no_false_gaps(end: int) -> None:
         items += line.feed(RX, packet(number + end, [MID] * size), S + i * 10_000_000)
     assert kinds(items) == []
     assert sum(line.losses.values()) == 0
-    (gap, _) = line.feed(RX, packet(number + end + 130, [MID] * 30), S + 2 * S)
+    (gap, _) = line.feed(RX, packet(number + end + 130, [MID] * 30), S + 340_000_000)
     assert kinds([gap]) == ["gap"]
     assert line.losses["samples"] == 100
     assert line.clock_seed is None
@@ -337,7 +337,8 @@ def test_a_counter_that_counts_otherwise_is_a_fault_with_the_remedy(counts: str,
     items: list[Batch | DeviceEvent] = []
     for i in range(8):
         items += line.feed(RX, packet(7 + step * i, [MID] * 50), S + i * 10_000_000)
-    assert [kind for kind in kinds(items) if kind != "gap"] == ["fault"]
+    assert kinds(items).count("fault") == 1
+    assert "restart" not in kinds(items) or counts == "packets"  # so many packets could not have been sent
     assert f'set counts = "{remedy}"' in line.complaint
     assert len(recorded(items)) <= 150
 

@@ -94,9 +94,9 @@ def test_samples_of_a_sensor_that_counts_packets_are_numbered_from_0() -> None:
     ]
 
 
-@pytest.mark.parametrize(("counter", "kind"), [(5049, "gap"), (5050, "restart")])
-def test_frames_are_not_measured_a_second_after_they_are_received(counter: int, kind: str) -> None:
-    """The first 50 frames, 10 ms, end at S; 50 more from the counter on end at 1.02 s after their begin."""
+@pytest.mark.parametrize(("counter", "kind"), [(500, "gap"), (50_000, "restart")])
+def test_frames_are_not_measured_long_after_they_are_received(counter: int, kind: str) -> None:
+    """The first read of a log may be late by a quarter of a second; 50 000 frames are ten seconds."""
     line = pipeline()
     line.feed(RX, packet(0, [MID] * 50), S)
     assert kinds(line.feed(RX, packet(counter, [MID] * 50), S + 10_000_000)) == [kind]
@@ -256,7 +256,8 @@ def test_samples_of_another_scaling_are_not_among_those_of_another_rate() -> Non
     assert sensor.line.losses["samples"] == sensor.counter - 1000 - len(recorded(sensor.items))
 
 
-def test_few_packets_a_second_show_no_rate_though_they_come_in_parts() -> None:
+def test_few_packets_a_second_show_their_rate_though_they_come_in_parts() -> None:
     sensor = Sensor(pipeline())
-    assert sensor.run(3) == []
-    assert sensor.run(12, 2500, reads_Hz=4, parts=3) == []
+    assert sensor.run(3, reads_Hz=4, parts=3) == []
+    assert sensor.run(12, reads_Hz=4, parts=3) == []
+    assert sensor.run(12, 2500, reads_Hz=4, parts=3) == ["fault"]

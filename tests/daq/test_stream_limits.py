@@ -425,7 +425,7 @@ def test_a_gap_longer_than_the_counter_s_wrap_is_counted_by_the_timestamp() -> N
     lost = 2**18 + 10
     later = first + 5 + lost
     found = pipeline.feed(RX, laser_bytes(first, 25 * first), START_NS)
-    found += pipeline.feed(RX, laser_bytes(later, 25 * later), START_NS + 70_000 * MS)
+    found += pipeline.feed(RX, laser_bytes(later, 25 * later), START_NS + 250_000 * int(later[-1] - 5))
     assert pipeline.losses["samples"] == lost
     assert events(found, "gap")[0].facts["device_ticks"] == 25 * int(later[0])
 

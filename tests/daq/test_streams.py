@@ -58,10 +58,14 @@ def test_laser_gaps_are_counted_exactly(lengths: list[int], gaps: list[int]) -> 
     for length, gap in zip(lengths, gaps, strict=False):
         counters.append(np.arange(at, at + length))
         at += length + gap
-    parts = [optoncdt.encode_block(blocks(c, np.full(len(c), 1e-3))) for c in counters]
-    # a block is complete when the next one begins or its number of words has come
     pipeline = laser()
-    batches, events = feed(pipeline, parts)
+    items = [
+        item
+        for c in counters
+        for item in pipeline.feed(RX, optoncdt.encode_block(blocks(c, np.full(len(c), 1e-3))), 250_000 * int(c[-1]))
+    ]
+    batches = [item for item in items if isinstance(item, Batch)]
+    events = [item for item in items if isinstance(item, DeviceEvent)]
     used = gaps[: len(lengths) - 1]
     assert pipeline.losses["samples"] == sum(used)
     assert sum(len(b.time_ns) for b in batches) == sum(lengths)
@@ -412,43 +416,6 @@ def test_losses_of_air_and_cable_are_counted_separately() -> None:
     ]
     feed(pipeline, wire)
     assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (2, 3)
-
-
-@settings(max_examples=cases(40, 150))
-@given(st.data())
-def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_gives(data: st.DataObject) -> None:
-    counters = np.cumsum(data.draw(st.lists(st.sampled_from([1] * 30 + [2, 7]), min_size=10, max_size=120)))
-    wire = bytearray(optoncdt.encode_block(blocks(counters + 262_100, 1e-3 * np.sin(counters))))
-    for place in data.draw(st.lists(st.integers(0, len(wire) - 1), max_size=3)):
-        how = data.draw(st.sampled_from(["flip", "drop", "answer"]))
-        if how == "flip":
-            wire[place % len(wire)] ^= 1 << data.draw(st.integers(0, 7))
-        elif how == "drop":
-            del wire[place % len(wire)]
-        else:
-            wire[place:place] = b"OUTPUT RS422 ok\r\n->"
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=12)))
-    parts = [bytes(wire[a:b]) for a, b in itertools.pairwise([0, *cuts, len(wire)])]
-    quick, full = laser(), laser()
-    full._clean = lambda data, host_ns: None
-    (some, reported), (same, also_reported) = feed(quick, parts), feed(full, parts)
-    assert quick.losses == full.losses
-    assert reported == also_reported
-    for field in ("displacement_m", "code", "counter", "device_ticks", "flags"):
-        one, other = (np.concatenate([b.columns[field] for b in x] or [[]]) for x in (some, same))
-        assert np.array_equal(one, other, equal_nan=True)
-    assert [b.time_ns.tolist() for b in some] == [b.time_ns.tolist() for b in same]
-
-
-def test_the_quick_way_is_taken_and_a_split_block_waits_for_its_rest() -> None:
-    wire = optoncdt.encode_block(blocks(np.arange(100, 140), np.zeros(40)))
-    pipeline = laser()
-    pipeline.feed(RX, wire[:60], START_NS)
-    # only the words of the decoder are used any more
-    pipeline._decoder = type("Idle", (), {"idle": True, "words": ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")})()
-    batches, events = feed(pipeline, [wire[60:301], wire[301:302], wire[302:]])
-    assert events == []
-    assert [len(b.time_ns) for b in batches] == [20, 15]
 
 
 def heard(*frames: tuple[int, bytes]) -> list[DeviceEvent]:

@@ -74,9 +74,9 @@ class OptoNcdt(DisplacementDriver):
 
     def prepare(self) -> None:
         """See Driver."""
-        from daq.drivers.optoncdt.blocks import compile_loop
+        from daq.drivers.spikes import compile_watch
 
-        compile_loop()
+        compile_watch()
 
     def open(self, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
         """See Driver."""

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.clock import ClockMap, ClockSeed, Unwrap, steps_from
+from daq.clock import ClockMap, ClockSeed, steps_from
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
-from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
-from daq.drivers.optoncdt.rows import RowOrder
 from daq.drivers.optoncdt.set_up_watch import SetUpWatch
 from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.optoncdt.true_rows import Rows, SampleTimes, TrueRows
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent
+from daq.numbered.messages import Count, Stretch
+from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
@@ -28,6 +31,8 @@ _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a
 _MOST_BEFORE_FIRST = 1024  # bytes before the first block that are not counted; a block has at most 96
 
 _MOST_CODES = 32  # different error codes that are counted
+
+_TICK_NS = round(optoncdt.TICK_S * 1e9)
 
 _SHORT_TIMESTAMP = (
     "expected a timestamp of two values in steps of 10 µs; by its manual an ILD2300 sends one value in steps of 256 µs "
@@ -70,8 +75,12 @@ class LaserPipeline:
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._before_first = 0  # bytes skipped before the first block
-        self._tail = b""  # the beginning of an incomplete block
-        self._order = RowOrder(self._nominal_ticks)
+        period_ns = self._nominal_ticks * _TICK_NS
+        wraps = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
+        count = Count(wraps[0], period_ns, clock_size=wraps[1], clock_step=self._nominal_ticks)
+        self._order = NumberedStream[Rows](count, np.concatenate)
+        self._true, self._times = TrueRows(self._nominal_ticks), SampleTimes()
+        self._damaged = 0  # samples that were reported as damaged
         self._reported_period = self._nominal_ticks
         self._set_up = SetUpWatch()
         self._restart()
@@ -99,12 +108,11 @@ class LaserPipeline:
     @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
-        return self._clock.seed(round(optoncdt.TIMESTAMP_WRAP * optoncdt.TICK_S * 1e9))
+        return self._clock.seed(optoncdt.TIMESTAMP_WRAP * _TICK_NS)
 
     def _restart(self) -> None:
-        self._ticks = Unwrap(optoncdt.TIMESTAMP_WRAP)
         self._clock = ClockMap(self._tolerance_ppm)
-        self._last: tuple[int, int] | None = None  # counter, and unwrapped ticks
+        self._place: int | None = None  # of the newest sample
         self._spikes = SpikeWatch(self._scaling.most)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
@@ -112,21 +120,13 @@ class LaserPipeline:
         if direction == TX:
             self._set_up.sent(data)
             return []
-        out = self._received(data, host_ns)
+        out: Items = []
+        if not data:
+            self._placed(self._order.end(), out)
+        rest = data
+        while rest:
+            rest = self._decode(rest, host_ns, out) if self._trial is None else self._try(rest, host_ns, out)
         self._set_up.received(data, out, host_ns)
-        return out
-
-    def _received(self, data: bytes, host_ns: int) -> Items:
-        data, self._tail = self._tail + data, b""
-        clean = self._clean(data, host_ns)
-        if clean is not None:
-            out: Items = self._samples(clean, host_ns, gapless=True) if len(clean.code) else []
-            if self._order.period_ticks != self._reported_period:
-                self._report_rate(out)
-            return out
-        out = []
-        while data:
-            data = self._decode(data, host_ns, out) if self._trial is None else self._try(data, host_ns, out)
         return out
 
     def _decode(self, data: bytes, host_ns: int, out: Items) -> bytes:
@@ -144,7 +144,7 @@ class LaserPipeline:
             self._joined = True
             self._rows(found.values, host_ns, out)
         if found.announced is not None:
-            self._trial = WordsTrial(self._decoder, found.announced, self._order.follows)
+            self._trial = WordsTrial(self._decoder, found.announced)
         self._decoder.follow_answers = True
         return found.rest
 
@@ -193,25 +193,6 @@ class LaserPipeline:
         self._reported_lines -= before
         out += [DeviceEvent("reply", self._device, line) for line in lines[before:]]
 
-    def _clean(self, data: bytes, host_ns: int) -> CleanBlocks | None:
-        """Decode all of `data` if it continues without damage; an incomplete block at its end is kept."""
-        places = self._places
-        if places is None or self._trial is not None or self._order.in_doubt or not data:
-            return None
-        if not self._decoder.idle:
-            return None
-        assert self._order.last is not None
-        last_counter, last_tick = self._order.last.tolist()
-        clean = take_clean_blocks(data, places, last_counter, last_tick, self._order.period_ticks)
-        taken = len(clean.code)
-        tail = data[3 * taken * places.words :]
-        if len(tail) >= 3 * places.words or not may_begin_block(tail):
-            return None
-        self._tail = tail
-        if taken:
-            self._order.go_on(int(clean.counter[-1]), int(clean.ticks[-1]), host_ns)
-        return clean
-
     def _rows(self, values: NDArray[np.uint32], host_ns: int, out: Items) -> None:
         """Append the samples of rows of words, and the events about them."""
         if self._places is None:
@@ -224,50 +205,76 @@ class LaserPipeline:
                 )
                 out.append(DeviceEvent("words", self._device, text))
             return
-        _, counter, ticks = _columns(values, self._places)
-        found = self._order.sort(np.column_stack([counter.astype(np.int64), ticks]), values, host_ns)
-        if found.dropped:
-            self.losses["damaged"] += found.dropped
-            what = "a sample" if found.dropped == 1 else f"{found.dropped} samples"
-            text = f"{what} whose counter and timestamp do not fit {'was' if found.dropped == 1 else 'were'} dropped"
-            out.append(DeviceEvent("damage", self._device, text, {"damaged": found.dropped}))
+        places = self._places
+        ticks = optoncdt.timestamp_ticks(values[:, places.low], values[:, places.high])
+        rows = np.column_stack([values[:, places.counter], ticks, values[:, places.distance]]).astype(np.int64)
+        rows = self._true.feed(rows)
+        self._report_damage(out)
         self._report_rate(out)
-        for restarted, rows in found.stretches:
-            if restarted:
+        if len(rows):
+            self._placed(self._order.feed(rows[:, 0], rows, host_ns, rows[:, 1]), out)
+
+    def _placed(self, stretches: Sequence[Stretch[Rows]], out: Items) -> None:
+        """Append the samples that have a place in the sensor's count, and the events about them."""
+        reads: list[Stretch[Rows]] = []  # stretches of one read have one time, that of its newest sample
+        for stretch in stretches:
+            if reads and not stretch.is_restart and stretch.host_ns == reads[-1].host_ns:
+                numbers = np.concatenate([reads[-1].numbers, stretch.numbers])
+                reads[-1] = replace(reads[-1], numbers=numbers, rows=np.concatenate([reads[-1].rows, stretch.rows]))
+            else:
+                reads.append(stretch)
+        for stretch in reads:
+            if stretch.is_restart:
+                self._times.restart()
+            ticks = self._times.feed(stretch.numbers, stretch.rows[:, 1], self._true)
+            if stretch.is_restart or ticks is None:
                 text = "counter and timestamp do not continue: the sensor restarted"
                 out.append(DeviceEvent("restart", self._device, text))
                 self._restart()
-            out += self._samples(_columns(rows, self._places), host_ns, gapless=False)
+                self._true.measure_again()
+            if ticks is None:
+                self._times.restart()
+                ticks = self._times.feed(stretch.numbers, stretch.rows[:, 1], self._true)
+                assert ticks is not None
+            out += self._samples(stretch.numbers, ticks, stretch.rows[:, 2], stretch.host_ns)
+
+    def _report_damage(self, out: Items) -> None:
+        """Append an event about samples that were dropped since the last one."""
+        dropped = self._true.damaged - self._damaged
+        if dropped:
+            self._damaged += dropped
+            self.losses["damaged"] += dropped
+            what = "a sample" if dropped == 1 else f"{dropped} samples"
+            text = f"{what} whose counter and timestamp do not fit {'was' if dropped == 1 else 'were'} dropped"
+            out.append(DeviceEvent("damage", self._device, text, {"damaged": dropped}))
 
     def _report_rate(self, out: Items) -> None:
         """Append an event if the measuring rate differs from the rate reported last."""
-        period = self._order.period_ticks
-        if not self._order.is_period_measured or abs(period / self._reported_period - 1.0) < _MIN_RATE_DEVIATION:
+        period = self._true.period_ticks
+        if not self._true.is_measured or abs(period / self._reported_period - 1.0) < _MIN_RATE_DEVIATION:
             return
         self._reported_period = period
         rate, expected = 1.0 / (period * optoncdt.TICK_S), 1.0 / (self._nominal_ticks * optoncdt.TICK_S)
         text = f"the sensor measures {rate:.4g} times a second by its own clock, the rig file states {expected:g}"
         out.append(DeviceEvent("rate", self._device, text, {"rate_Hz": rate, "nominal_Hz": expected}))
 
-    def _samples(self, rows: CleanBlocks, host_ns: int, *, gapless: bool) -> Items:
-        before = self._last
-        ticks = self._ticks.feed(rows.ticks)
-        counter = np.ascontiguousarray(rows.counter, np.uint32)
-        self._last = int(counter[-1]), int(ticks[-1])
-        time_ns = self._clock.map(ticks * 10_000, host_ns)
-        out = [] if gapless else self._gaps(before, counter, ticks, time_ns)
-        code = np.ascontiguousarray(rows.code, np.uint32)
-        displacement, invalid = measure(code, self._range_m, self._to_disk, self._scaling)
-        self.losses["invalid"] += invalid
-        if invalid:
-            codes, counts = np.unique(code[np.isnan(displacement)], return_counts=True)
-            for each, count in zip(codes.tolist(), counts.tolist(), strict=True):
-                if each in self.error_codes or len(self.error_codes) < _MOST_CODES:  # garbage has any number of them
-                    self.error_codes[each] = self.error_codes.get(each, 0) + count
-        flags = self._spikes.feed(code, counter)
+    def _samples(self, place: Rows, ticks: Rows, words: Rows, host_ns: int) -> Items:
+        time_ns = self._clock.map(ticks * _TICK_NS, host_ns)
+        out = self._gaps(place, ticks, time_ns)
+        self._place = int(place[-1])
+        counter = (place % optoncdt.COUNTER_WRAP).astype(np.uint32)
+        displacement = (
+            distance_words.metres(words, self._range_m, self._scaling) - 0.5 * self._range_m
+        ) * self._to_disk
+        invalid: list[int] = words[words > self._scaling.most].tolist()
+        self.losses["invalid"] += len(invalid)
+        for each, count in Counter(invalid).items():
+            if each in self.error_codes or len(self.error_codes) < _MOST_CODES:  # garbage has any number of them
+                self.error_codes[each] = self.error_codes.get(each, 0) + count
+        flags = self._spikes.feed(words, counter)
         columns = {
             "displacement_m": displacement,
-            "code": code,
+            "code": words.astype(np.uint32),
             "counter": counter,
             "device_ticks": ticks.astype(np.uint64),
             "flags": flags,
@@ -281,32 +288,20 @@ class LaserPipeline:
         """Return the event about samples that are spikes; its time is that of the first."""
         found = np.flatnonzero(flags)
         self.losses["suspect"] += len(found)
-        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._order.period_ticks) * 10_000
+        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._true.period_ticks) * _TICK_NS
         what = "a sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
         text = f"{what} out of the signal for one sample: marked as suspect"
         return DeviceEvent("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
 
-    def _gaps(
-        self,
-        before: tuple[int, int] | None,
-        counter: NDArray[np.uint32],
-        ticks: NDArray[np.int64],
-        time_ns: NDArray[np.int64],
-    ) -> Items:
-        """Return the gaps between rows. The timestamp gives the number of wraps of the counter within a gap.
-
-        The time of a gap is that of the first sample after it.
-        """
-        if before is None:
-            before = int(counter[0]) - 1, int(ticks[0]) - round(self._order.period_ticks)
-        counts = steps_from(before[0], counter.astype(np.int64)) % optoncdt.COUNTER_WRAP
-        wraps = np.rint((steps_from(before[1], ticks) / self._order.period_ticks - counts) / optoncdt.COUNTER_WRAP)
-        steps = counts + optoncdt.COUNTER_WRAP * wraps.astype(np.int64)
-        out: list[Batch | DeviceEvent] = []
+    def _gaps(self, place: Rows, ticks: Rows, time_ns: Rows) -> Items:
+        """Return the gaps between samples. The time of a gap is that of the first sample after it."""
+        before = int(place[0]) - 1 if self._place is None else self._place
+        steps = steps_from(before, place)
+        out: Items = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
-            span = lost * self._order.period_ticks * optoncdt.TICK_S
+            span = lost * self._true.period_ticks * optoncdt.TICK_S
             out.append(
                 DeviceEvent(
                     "gap",
@@ -316,12 +311,6 @@ class LaserPipeline:
                 )
             )
         return out
-
-
-def _columns(values: NDArray[np.uint32], places: sensor_answers.WordPositions) -> CleanBlocks:
-    """Return distance word, counter and timestamp of rows of words."""
-    ticks = optoncdt.timestamp_ticks(values[:, places.low], values[:, places.high]).astype(np.int64)
-    return CleanBlocks(values[:, places.distance], values[:, places.counter], ticks)
 
 
 def _range(device: str, found: object) -> float:

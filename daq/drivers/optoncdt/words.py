@@ -10,7 +10,6 @@ their split into reads.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,12 @@ from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
 _MIN_BLOCKS = 3  # consecutive blocks that decide
 _MAX_BYTES = 4096  # undecided after this many bytes, the old words are kept
 
-Follows = Callable[[NDArray[np.int64], NDArray[np.int64]], bool]
+
+def _continues(before: NDArray[np.int64], after: NDArray[np.int64]) -> bool:
+    """Whether counter and timestamp are those of the next sample, at any rate of a sensor."""
+    counts, ticks = (after - before).tolist()
+    wraps = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
+    return counts % wraps[0] == 1 and 0 < ticks % wraps[1] < 1.0 / optoncdt.TICK_S
 
 
 @dataclass
@@ -40,7 +44,7 @@ class _Reading:
     chain: int = 0
     last: NDArray[np.int64] | None = None
 
-    def feed(self, byte: bytes, follows: Follows) -> list[str]:
+    def feed(self, byte: bytes) -> list[str]:
         """Take one byte; return the lines of text that it completes."""
         found = self.decoder.feed(byte)
         if found.skipped_bytes:
@@ -52,7 +56,7 @@ class _Reading:
                 continue
             tick = int(optoncdt.timestamp_ticks(values[places.low], values[places.high]))
             now = np.array([int(values[places.counter]), tick], np.int64)
-            self.chain = self.chain + 1 if self.last is not None and follows(self.last, now) else 1
+            self.chain = self.chain + 1 if self.last is not None and _continues(self.last, now) else 1
             self.last = now
         return found.text
 
@@ -68,16 +72,14 @@ class WordsTrial:
     Args:
         decoder: decoder that has stopped after the answer; it is not changed.
         announced: words that the answer announces.
-        follows: whether one sample's (counter, ticks) may directly follow another's.
 
     Attributes:
         announced: words of the last such answer. An answer that comes before the decision replaces the earlier one.
         held: bytes since the first answer.
     """
 
-    def __init__(self, decoder: optoncdt.BlockDecoder, announced: tuple[str, ...], follows: Follows) -> None:
+    def __init__(self, decoder: optoncdt.BlockDecoder, announced: tuple[str, ...]) -> None:
         self.held: bytes = b""
-        self._follows = follows
         self._old = _Reading(copy.deepcopy(decoder))
         self._old.decoder.follow_answers = False
         self._compare(announced)
@@ -98,8 +100,8 @@ class WordsTrial:
         for at in range(len(data)):
             byte = data[at : at + 1]
             self.held += byte
-            ended = self._old.feed(byte, self._follows)
-            self._new.feed(byte, self._follows)
+            ended = self._old.feed(byte)
+            self._new.feed(byte)
             for line in ended:
                 if (announced := sensor_answers.announced(line)) is not None:
                     self._compare(announced)

@@ -7,7 +7,7 @@ seen in the counter.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,17 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.optoncdt_ethernet import distances, wire
-from daq.drivers.optoncdt_ethernet.counting import FrameCounter, LeastDelay, RateChange
+from daq.drivers.optoncdt_ethernet.frame_numbers import FrameNumbers
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.items import TX, Batch, DeviceEvent
+from daq.numbered.messages import Count, Stretch
+from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
+_OTHER_RATE = 0.1
+"""Deviation of a rate that was changed: the rates of the sensor differ by a factor of 1.5 or more."""
+_SETTLES_NS = 1_000_000_000  # after its begin, the due line has the sensor's rate
 
 Items = list[Batch | DeviceEvent]
 
@@ -54,10 +59,10 @@ class EthernetPipeline:
         self._serial: tuple[int, int] | None = None  # order and serial number
         self._flags: list[tuple[int, int]] = []  # of the first and of the newest packet of the wanted sensor
         self._frame_size = wire.FrameSize()
-        self._counter = FrameCounter(settings.counts)
-        self._delay = LeastDelay()
-        self._rate = RateChange(settings.rate_Hz)
-        self._next: int | None = None  # number of the next sample
+        self._counter = FrameNumbers(settings.counts)
+        self._order = NumberedStream[NDArray[np.uint32]](Count(wire.COUNTER_WRAP, self._period_ns), np.concatenate)
+        self._begun_ns: int | None = None  # host time from which on the rate is that of the due line
+        self._was_right = self._is_changed = False  # whether the rate was that of the rig file, and is another one
         self._refused = 0  # samples that were not taken, since their rate is another one
         self._joined = self._misfits = False
         self._skips = False  # whether packets are skipped because of the complaint
@@ -84,6 +89,8 @@ class EthernetPipeline:
         """See Pipeline."""
         if direction == TX:
             return []
+        if not data:
+            return self._placed(self._order.end())
         found = self._decoder.feed(data)
         out: Items = self._skipped(found)
         numbers: list[NDArray[np.int64]] = []
@@ -93,24 +100,31 @@ class EthernetPipeline:
             out += self._identified(packet)
             if self._skips:
                 continue
-            gap = self._gap(packet, host_ns)
-            if gap and words:
-                out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
-                numbers, words = [], []
-            out += gap
-            out += self._doubted(packet)
-            first, count = self._next or 0, len(packet.frames)
-            self._next = first + count
-            if self.complaint or self._rate.found_Hz:
-                self._refused += count if self._rate.found_Hz else 0
-                continue
-            numbers.append(np.arange(first, first + count))
+            numbers.append(self._counter.first(packet.counter, len(packet.frames)) + np.arange(len(packet.frames)))
             words.append(packet.frames[:, self._place])
+            out += self._doubted(words[-1])
+            if self._skips:
+                numbers.pop()
+                words.pop()
         if words:
-            out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
-        if found.packets and self._next is not None and not self._skips:
-            self._delay.feed(self._next * self._period_ns, host_ns)
-            out += self._rated(self._next, host_ns)
+            number = np.concatenate(numbers) % wire.COUNTER_WRAP
+            out += self._placed(self._order.feed(number, np.concatenate(words), host_ns))
+            out += self._rated(host_ns)
+        return out
+
+    def _placed(self, stretches: Sequence[Stretch[NDArray[np.uint32]]]) -> Items:
+        """Return the samples that have a place in the sensor's count, and the events about them."""
+        out: Items = []
+        for stretch in stretches:
+            if stretch.is_restart:
+                out += self._restarted("its counter does not continue: the sensor started again")
+            elif stretch.lost:
+                uncertain = 0 if self._settings.counts == "frames" else max(1, stretch.lost // self._counter.frames)
+                out.append(self._lost(stretch.lost, uncertain))
+            if self._is_changed:
+                self._refused += len(stretch.rows)
+            else:
+                out.append(self._batch(stretch.numbers, stretch.rows, stretch.host_ns))
         return out
 
     def _skipped(self, found: wire.DecodedPackets) -> Items:
@@ -136,9 +150,9 @@ class EthernetPipeline:
             out += self._complain(text, {"frame_bytes": size})
         return out
 
-    def _complain(self, text: str, facts: dict[str, Any], *, skips: bool = True) -> Items:
-        self.has_reported, self.complaint, self._skips = True, text, skips
-        self._rate.clear()
+    def _complain(self, text: str, facts: dict[str, Any]) -> Items:
+        self.has_reported, self.complaint, self._skips = True, text, True
+        self._begun_ns, self._was_right = None, False
         return [DeviceEvent("fault", self._device, text, facts)]
 
     def _identified(self, packet: wire.Packet) -> Items:
@@ -182,35 +196,16 @@ class EthernetPipeline:
         )
         return [DeviceEvent("doubt", self._device, self.doubt, {"flags_1": flags[0], "flags_2": flags[1]})]
 
-    def _doubted(self, packet: wire.Packet) -> Items:
+    def _doubted(self, words: NDArray[np.uint32]) -> Items:
         """Take no samples whose scaling is wrong, by a factor of some hundred, or whose counter counts otherwise."""
-        if found := self._watch.contradiction(packet.frames[:, self._place]):
+        if found := self._watch.contradiction(words):
             return self._complain(found, {"scaling": self._settings.scaling})
         if (found := self._counter.contradiction) and not self.complaint:
             return self._complain(found, {"counts": self._settings.counts})
         return []
 
-    def _gap(self, packet: wire.Packet, host_ns: int) -> Items:
-        """Return the event about samples missing before a packet, and set the number of its first sample."""
-        of_frames, count = self._settings.counts == "frames", len(packet.frames)
-        if self._next is None:
-            self._next = packet.counter if of_frames else 0  # the clock continues from one log to the next
-        missing = self._counter.missing(packet.counter, count)
-        if missing == 0:
-            return []
-        lost = 0 if missing is None else missing if of_frames else missing * count
-        end_ns = (self._next + lost + count) * self._period_ns
-        if missing is None or not self._delay.is_possible(end_ns, host_ns):
-            if of_frames:
-                self._next = packet.counter
-            return self._restarted("its counter does not continue: the sensor started again")
-        self._next += lost
-        return [self._lost(lost, 0 if of_frames else missing)]
-
     def _restarted(self, text: str) -> Items:
-        self._clock = ClockMap(self._settings.clock_tolerance_ppm)
-        self._delay.clear()
-        self._rate.clear()
+        self._clock, self._begun_ns = ClockMap(self._settings.clock_tolerance_ppm), None
         return [DeviceEvent("restart", self._device, text)]
 
     def _lost(self, lost: int, uncertain: int, why: str = "lost") -> DeviceEvent:
@@ -223,17 +218,27 @@ class EthernetPipeline:
         text = f"{'about ' if uncertain else ''}{number_of(lost, 'sample')} {why} ({span * 1e3:.2f} ms)"
         return DeviceEvent("gap", self._device, text, facts)
 
-    def _rated(self, frames: int, host_ns: int) -> Items:
-        """Take no samples while the sensor measures at another rate than before, since their times would be wrong."""
-        if not self._rate.feed(frames, host_ns):
+    def _rated(self, host_ns: int) -> Items:
+        """Take no samples while the sensor measures at another rate than before, since their times would be wrong.
+
+        A rate that is wrong from the beginning is not judged here: the host compares each device's rate with the rig
+        file.
+        """
+        self._begun_ns = host_ns if self._begun_ns is None else self._begun_ns
+        is_other = abs(1.0 / self._order.pace - 1.0) > _OTHER_RATE
+        self._was_right = self._was_right or (not is_other and host_ns - self._begun_ns > _SETTLES_NS)
+        if is_other == self._is_changed or not self._was_right:
             return []
-        if self._rate.found_Hz:
+        self._is_changed = is_other
+        if is_other:
+            rate_Hz = self._settings.rate_Hz / self._order.pace
             text = (
-                f"its measuring rate was changed some seconds ago: about {self._rate.found_Hz:.0f} Hz, expected "
+                f"its measuring rate was changed some seconds ago: about {rate_Hz:.0f} Hz, expected "
                 f"{self._settings.rate_Hz:g} Hz. Set the rate as before, or correct rate_Hz and begin again"
             )
-            facts = {"rate_Hz": self._rate.found_Hz, "nominal_Hz": self._settings.rate_Hz}
-            return self._complain(text, facts, skips=False)
+            self.has_reported, self.complaint = True, text
+            facts = {"rate_Hz": rate_Hz, "nominal_Hz": self._settings.rate_Hz}
+            return [DeviceEvent("fault", self._device, text, facts)]
         self.complaint = ""
         refused, self._refused = self._refused, 0
         gap = self._lost(refused, 0, "not taken, since their rate was another one")

@@ -8,7 +8,7 @@ accuracy of a loss count depends on the loss:
 - More are missing, and their bytes arrived damaged. Four bytes correspond to one result. The count is the nearest
   number that fits modulo 4, if it is possible by the host's time.
 - More are missing, and their bytes did not arrive. The count is estimated from the host's time
-  (`daq.drivers.riftek.read_lags`). A read that is late by more than `ReadLags.far_ns` is held until the host has caught
+  (`daq.drivers.riftek.arrivals`). A read that is late by more than `Arrivals.far_ns` is held until the host has caught
   up or its delay has persisted: for 0.25 s, or for two reads before the stream is stopped or started. Its samples are
   returned late and have correct times. A smaller loss is found up to 1 s later; the samples until then have times that
   are early by the duration of the loss. The event of such a gap contains `uncertain_samples`. A multiple of 4 below the
@@ -31,9 +31,8 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap
 from daq.drivers.riftek import wire
+from daq.drivers.riftek.arrivals import Arrivals, ResultRate
 from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
-from daq.drivers.riftek.read_lags import ReadLags
-from daq.drivers.riftek.result_rate import ResultRate
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
@@ -123,7 +122,7 @@ class RiftekPipeline:
         self._period_ns = 1000 * settings.period_us
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = ResultDecoder()
-        self._lags = ReadLags(self._period_ns)
+        self._arrivals = Arrivals(self._period_ns)
         self._clock = ClockMap(settings.clock_tolerance_ppm)
         self._spikes = SpikeWatch()
         self._number = -1  # number of the last sample returned, including lost ones
@@ -191,26 +190,26 @@ class RiftekPipeline:
 
     def _room(self, steps: int, host_ns: int) -> int:
         """Return how many additional results are possible by the host's time."""
-        excess = self._lags.excess_ns(self._last_number(steps), host_ns)
+        excess = self._arrivals.late_ns(self._last_number(steps), host_ns)
         return 0 if excess is None else int(excess / self._period_ns + 1.5)
 
     def _place(self, rows: _Rows, host_ns: int) -> Items:
         """Return the samples of results, or hold the results if they are too late for their numbers."""
         if self._waiting is None:
-            self._found_late += self._lags.turn(host_ns)
+            self._found_late += self._arrivals.turn(host_ns)
         number = self._last_number(int(np.sum(rows.step))) + self._found_late
-        excess = self._lags.excess_ns(number, host_ns)
+        excess = self._arrivals.late_ns(number, host_ns)
         if self._waiting is not None:
             assert excess is not None
-            self._waiting.add(rows, excess, host_ns, self._lags.guard_ns)
-            if excess <= self._lags.far_ns:
+            self._waiting.add(rows, excess, host_ns, self._arrivals.guard_ns)
+            if excess <= self._arrivals.far_ns:
                 return self._release(0, host_ns)
             if self._waiting.count > _MAX_WAIT_ROWS:
                 return self._release(0, host_ns, late=True)
             if self._waiting.over(host_ns):
-                return self._release(self._lags.missing(self._waiting.excess_ns), host_ns)
+                return self._release(self._arrivals.missing(self._waiting.excess_ns), host_ns)
             return []
-        if excess is None or excess <= self._lags.far_ns:
+        if excess is None or excess <= self._arrivals.far_ns:
             return self._hand_out(rows, host_ns)
         first = int(np.argmax(rows.step > 1))  # index of the first gap; 0 without a gap
         out = self._hand_out(rows.part(0, first), host_ns, late=True) if first else []
@@ -226,7 +225,7 @@ class RiftekPipeline:
         waiting = self._waiting
         if waiting is None:
             return []
-        missing = self._lags.missing(waiting.excess_ns) if waiting.reads > 1 else 0
+        missing = self._arrivals.missing(waiting.excess_ns) if waiting.reads > 1 else 0
         return self._release(missing, host_ns, late=not missing)
 
     def _release(self, missing: int, host_ns: int, *, late: bool = False) -> Items:
@@ -252,7 +251,7 @@ class RiftekPipeline:
         number = self._number + np.cumsum(step)
         self._number = int(number[-1])
         if not late:
-            self._lags.look(self._number, host_ns)
+            self._arrivals.look(self._number, host_ns)
         time_ns = self._clock.map(number * self._period_ns, host_ns)
         out = self._gaps(rows, step, time_ns, found_late)
         displacement, valid = self._measure(rows)
@@ -321,11 +320,11 @@ class RiftekPipeline:
             }
             text = f"{number_of(lost, 'sample')} lost ({span * 1e3:.2f} ms)"
             if rows.guessed[i] or (found_late and i == 0):
-                facts["uncertain_samples"] = self._lags.uncertainty
-                text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._lags.uncertainty}"
+                facts["uncertain_samples"] = self._arrivals.uncertainty
+                text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._arrivals.uncertainty}"
             if found_late and i == 0:
                 facts["found_late"] = found_late
-                text += f"; {found_late} of them within the last {self._lags.since_s:.2f} s: the times since "
+                text += f"; {found_late} of them within the last {self._arrivals.since_s:.2f} s: the times since "
                 text += "their loss are early by that"
             out.append(DeviceEvent("gap", self._device, text, facts))
         return out
