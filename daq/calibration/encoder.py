@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from daq.acquisition.lock_positions import EXPECTED_DEG, LockPosition, lock_positions, misplaced
 from daq.acquisition.session import Session
+from daq.calibration.line import widening
 from daq.channels import LOCKS_CLOSED
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.hands import HUMAN_S, Locks, Operator
@@ -26,7 +26,6 @@ from daq.items import DeviceEvent
 from rig_basics.arrays import Array
 from rig_configs.roles import PendulumAngles
 
-_NORMAL_95 = 1.959964
 _TURNED_RAD = math.radians(15.0)  # smallest turn by hand whose sign is read
 _OTHER_SHARE = 0.5  # of the turn that the other pendulum may move
 _READ_S = 0.3  # of a closed lock
@@ -164,8 +163,7 @@ def judge(
         raise ProcedureError(f"expected at least {MIN_CLOSINGS} closings of the locks, got {len(closings)}")
     off = np.array([[place.off_deg for place in closing] for closing in closings])
     mean, spread = off.mean(axis=0), off.std(axis=0, ddof=1)
-    student = float(stdtrit(len(off) - 1, 0.975)) / _NORMAL_95
-    zero_std = math.hypot(student * float(spread.max()), lock_std_deg)
+    zero_std = math.hypot(widening(len(off) - 1) * float(spread.max()), lock_std_deg)
     return EncoderCalibration(
         tuple((float(a), float(b)) for a, b in off),
         (float(mean[0]), float(mean[1])),

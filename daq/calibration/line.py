@@ -14,16 +14,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import fdtrc, stdtr, stdtrit
+from scipy.special import fdtrc, stdtr
 
 from daq.errors import AcquisitionError
 from rig_basics.arrays import Array
+from uncertainty.coverage import coverage_factor
 
-_NORMAL_95 = 1.959964  # half of a 95 % interval of the normal distribution, in standard deviations
 _OUTLIER_P, _CURVED_P = 0.01, 0.01  # significance levels
 _OUTLIER_SHARE = 0.3  # of the scatter that may be left without an outlier
 _SAME_M = 1e-9
 _BISECTIONS = 100
+
+
+def widening(freedom: float) -> float:
+    """Return the factor on a standard deviation known from some degrees of freedom, so that ± 1.96 of it are 95 %."""
+    return coverage_factor(0.95, freedom) / coverage_factor(0.95)
 
 
 class TooFewPositions(AcquisitionError, ValueError):
@@ -139,8 +144,7 @@ class _Fit:
         """
         variance = float(at @ self.covariance @ at)
         share = 1.0 - min(1.0, float(at @ self.stated @ at) / variance)
-        widened = float(stdtrit(freedom / share**2, 0.975)) / _NORMAL_95 if share > 1e-3 and freedom > 0 else 1.0
-        return max(1.0, widened) * math.sqrt(variance)
+        return (widening(freedom / share**2) if share > 1e-3 and freedom > 0 else 1.0) * math.sqrt(variance)
 
 
 def fit_line(readings: Sequence[GaugeReading], range_m: float) -> GaugeLine:

@@ -170,7 +170,7 @@ class SensorCalibration:
         the lever only if the positions were those of the disk.
         """
         found = {
-            "gain_factor": _rounded(self.line.gain),
+            "gain_factor": float(f"{self.line.gain:.7f}"),
             "gain_std": float(f"{self.line.gain_std / self.line.gain:.3g}"),
             "range_std_m": 0.0,
         }
@@ -179,10 +179,6 @@ class SensorCalibration:
         if self.offset_m is not None and self.offset_std_m is not None:
             found |= {"offset_m": float(f"{self.offset_m:.9f}"), "offset_std_m": float(f"{self.offset_std_m:.3g}")}
         return found
-
-
-def _rounded(gain: float) -> float:
-    return float(f"{gain:.7f}")
 
 
 def calibrate(
@@ -218,8 +214,7 @@ def _refusals(line: GaugeLine, setup: SensorSetup) -> tuple[str, ...]:
             f"{abs(odd.off_stds):.0f} standard deviations: a mistyped size, dirt, or a block not wrung. Read it again",
         )
     if line.gain < 0:
-        other = "the sign of the positions"
-        return (f"the reading falls where it should rise (gain {line.gain:.4f}): reverse {other}",)
+        return (f"the reading falls where it should rise (gain {line.gain:.4f}): reverse the sign of the positions",)
     if abs(line.gain - 1) > _MAX_GAIN_ERROR:
         return (
             f"the gain is {line.gain:.4f}, {100 * (line.gain - 1):+.1f} % from that of range_m and lever_ratio: "

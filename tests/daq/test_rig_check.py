@@ -221,5 +221,5 @@ def test_a_drive_that_refuses_its_set_up_is_judged_where_nothing_else_measures_t
     _fault(far, "inverter", "refuses", value=4)
     with session:
         found = device_checks(rig, observe(session, 1.0))
-    assert "it refuses 10 in register" in failed(found)["inverter opened"]
+    assert "it refuses writing 10 to register" in failed(found)["inverter opened"]
     assert "keep away from it" in session.rotor_warning

@@ -24,7 +24,6 @@ from daq.drivers.contract import Talk
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.identity import IDENTITY_READS, MODELS, parse_identity
 from daq.drivers.labjack.settings import LabJack
-from daq.drivers.labjack.stream import BUFFER_BYTES
 from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, T4_MISSING_LINES, VoltScale, nominal, read_constants
 from daq.drivers.labjack.wire import Register
 from daq.errors import DeviceError
@@ -41,8 +40,8 @@ _SINGLE_ENDED = 199
 class RequestRefused(DeviceError):
     """The device refused a request; `code` is the value of its register LAST_ERROR, 0 if it did not state it."""
 
-    def __init__(self, code: int) -> None:
-        super().__init__(wire.explain(code))
+    def __init__(self, place: str, code: int) -> None:
+        super().__init__(f"{place}: it refuses a command: {wire.explain(code)}")
         self.code = code
 
 
@@ -66,7 +65,7 @@ class Commands:
             return answer.body
         detail = self._answer([wire.read(Register.LAST_ERROR, 1)])
         stated = detail.function == wire.FEEDBACK and len(detail.body) == 2
-        raise RequestRefused(int.from_bytes(detail.body, "big") if stated else 0)
+        raise RequestRefused(self._place, int.from_bytes(detail.body, "big") if stated else 0)
 
     def _answer(self, parts: Sequence[bytes]) -> wire.Message:
         self._number = (self._number + 1) % wire.FIRST_STREAM_ID
@@ -155,7 +154,7 @@ def constants(settings: LabJack, model: str, commands: Commands) -> dict[str, An
         if len(data) == size:
             found = {name: read_constants(model, name, r, data) for name, r in settings.ranges_V.items()}
     except RequestRefused as refusal:
-        reason = f"the flash cannot be read ({refusal})"
+        reason = f"the flash cannot be read ({wire.explain(refusal.code)})"
     facts: dict[str, Any] = {}
     for name, scale in found.items():
         facts |= (scale or nominal(model, settings.ranges_V[name])).facts(name)
@@ -213,7 +212,7 @@ def start_stream(settings: LabJack, model: str, commands: Commands) -> float:
             _u32(Register.STREAM_SAMPLES_PER_PACKET, wire.samples_per_read(len(inputs))),
             _f32(Register.STREAM_SETTLING_US, 0.0),
             _u32(Register.STREAM_RESOLUTION, 0),
-            _u32(Register.STREAM_BUFFER_BYTES, BUFFER_BYTES),
+            _u32(Register.STREAM_BUFFER_BYTES, wire.BUFFER_BYTES),
             _u32(Register.STREAM_TARGET, wire.TARGET_COMMAND),
             _u32(Register.STREAM_DATA_TYPE, 0),
             _u32(Register.STREAM_SCANS, 0),
@@ -237,18 +236,12 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
     Raises:
         DeviceError: the device does not answer, refuses, or differs from the rig file.
     """
-    commands = Commands(talk, f"{device} on {settings.port}")
-    try:
-        identity = identify(device, settings, commands)
-        end_stream(commands)
-        identity |= constants(settings, identity["model"], commands)
-        undo(settings, commands)
-        identity["scan_rate_Hz"] = start_stream(settings, identity["model"], commands)
-    except RequestRefused as refusal:
-        raise DeviceError(
-            f"{device} on {settings.port} (devices.{device}): it refuses to be set up: {refusal}"
-        ) from refusal
-    return identity
+    commands = Commands(talk, f"{device} on {settings.port} (devices.{device})")
+    identity = identify(device, settings, commands)
+    end_stream(commands)
+    identity |= constants(settings, identity["model"], commands)
+    undo(settings, commands)
+    return identity | {"scan_rate_Hz": start_stream(settings, identity["model"], commands)}
 
 
 def stop_device(talk: Talk) -> None:
@@ -257,7 +250,4 @@ def stop_device(talk: Talk) -> None:
     Raises:
         DeviceError: the device does not answer, or refuses.
     """
-    try:
-        end_stream(Commands(talk, "LabJack"))
-    except RequestRefused as refusal:
-        raise DeviceError(f"LabJack: it refuses to end its stream: {refusal}") from refusal
+    end_stream(Commands(talk, "LabJack"))

@@ -13,31 +13,31 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.labjack import wire
 from daq.drivers.labjack.settings import AnalogueLaser, AnalogueQuantity, LabJack, Tachometer
+from daq.drivers.labjack.volts import BLANK_FLASH, CONSTANTS_BYTES, RANGES_V, VoltScale, encode_constants
+from daq.drivers.labjack.wire import BUFFER_BYTES, Register, Status
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
 Array = NDArray[np.floating[Any]]
 
-_FLASH_AT = 0x3C4000
-_ZERO, _SLOPE_V = 33530.0, 3.1586e-4  # of a count at ±10 V: not the nominal ones, so that they must be read
-_HEAD = struct.Struct(">HHHBB")
+_SCALE = VoltScale(33530.0, 3.1586e-4, 3.1586e-4)  # not the nominal one at ±10 V, so that it must be read
 _FLANK_RAD, _PULSE_RAD = math.radians(4.0), math.radians(30.0)
 _PULSE_V = 5.0
 _QUIET_V = 2e-4  # noise of inputs that are no lasers
 _BLOCKED_V = 10.2
-_NO_ADDRESS, _NO_VALUE, _FAILED = 2, 3, 4
-_NOT_RUNNING, _ACTIVE, _LIST_INVALID, _RATE_INVALID, _BUFFER_INVALID, _TARGET_INVALID = (
-    2620,
-    2605,
-    2607,
-    2608,
-    2615,
-    2612,
+_NO_ADDRESS, _FAILED = 2, 4  # exceptions of Modbus
+_LINES = range(Register.DIGITAL_LINE, Register.DIGITAL_LINE + 16)
+_WRITABLE = (
+    range(Register.STREAM_SCAN_RATE_HZ, Register.STREAM_TRIGGER + 2),
+    range(Register.AIN_RANGE, Register.AIN_NEGATIVE + 14),
+    (Register.AIN_POWER, Register.FLASH_POINTER),
 )
+_LIST_INVALID, _RATE_INVALID, _TARGET_INVALID, _BUFFER_INVALID, _BAD_ADDRESS = 2607, 2608, 2612, 2615, 2350
+"""Errors of the device that the host does not interpret by name."""
 _MOST_SAMPLES_PER_S = 100_000
-_MOST_PENDING_BYTES = 4096
 
 
 class _Refused(Exception):
@@ -58,27 +58,29 @@ class _Buffer:
 
     def __init__(self, size_bytes: int, inputs: int, separator_counts: bool) -> None:
         self.data = bytearray()
-        self.status, self.info = 0, 0
+        self.status, self.info = Status.GOOD, 0
         self._size, self._scan_bytes, self._separator_counts = size_bytes, 2 * inputs, separator_counts
         self._skipped = 0
 
     def put(self, scans: NDArray[np.uint16]) -> None:
         """Store scans. Without room the device skips them until all that wait have been read."""
-        if self.status == 2940 and not self.data and len(scans):
+        if self.status == Status.RECOVERING and not self.data and len(scans):
             stated = self._skipped - (0 if self._separator_counts else 1)
-            self.status, self.info = (2941, stated) if stated < 2**16 else (2943, 2**16 - 1)
+            is_counted = stated < 2**16
+            self.status = Status.RECOVERED if is_counted else Status.RECOVERED_TOO_MANY
+            self.info = stated if is_counted else 2**16 - 1
             self._skipped = 0
             self.data += b"\xff" * self._scan_bytes
         room = (self._size - len(self.data)) // self._scan_bytes
-        if self.status == 2940 or room < len(scans):
-            kept = 0 if self.status == 2940 else room
+        if self.status == Status.RECOVERING or room < len(scans):
+            kept = 0 if self.status == Status.RECOVERING else room
             self.skip(len(scans) - kept)
             scans = scans[:kept]
         self.data += scans.astype(">u2").tobytes()
 
     def skip(self, count: int) -> None:
         """Skip scans as a full buffer does."""
-        self.status = 2940
+        self.status = Status.RECOVERING
         self._skipped += count
 
     def take(self, samples: int) -> bytes:
@@ -87,8 +89,8 @@ class _Buffer:
         data = bytes(self.data[: scans * self._scan_bytes])
         del self.data[: len(data)]
         head = struct.pack(">4H", len(data) // 2, len(self.data), self.status, self.info)
-        if self.status in (2941, 2943):
-            self.status, self.info = 0, 0
+        if self.status in (Status.RECOVERED, Status.RECOVERED_TOO_MANY):
+            self.status, self.info = Status.GOOD, 0
         return head + data + bytes(2 * samples - len(data))
 
 
@@ -114,10 +116,10 @@ class SimulatedLabJack(FarEnd):
         self._settings, self._beams, self._clock = settings, beams, clock
         self._serial = settings.serial_number or serial
         self._faults = dict.fromkeys(("blocked", "deaf", "blank"), False)
-        self._pending = b""
         self._start()
 
     def _start(self) -> None:
+        self._decoder = wire.MessageDecoder()
         self._registers: dict[int, bytes] = {}
         self._outputs: set[int] = set()  # digital lines that are outputs
         self._error = 0
@@ -138,110 +140,95 @@ class SimulatedLabJack(FarEnd):
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take bytes of requests, split at any place, and return the answers."""
-        self._pending += data
         out = b""
-        while len(self._pending) >= _HEAD.size:
-            number, protocol, length, unit, function = _HEAD.unpack_from(self._pending)
-            if protocol or not 2 <= length <= 260 or function != 76:
-                self._pending = self._pending[1:]
-                continue
-            if len(self._pending) < 6 + length:
-                break
-            body, self._pending = self._pending[_HEAD.size : 6 + length], self._pending[6 + length :]
+        for message in self._decoder.feed(data).messages:
             if self._faults["deaf"]:
                 continue
             try:
-                answer, kind = self._carry_out(body), 76
+                function, answer = wire.FEEDBACK, self._carry_out(message.body)
             except _Refused as refused:
                 self._error = refused.detail
-                answer, kind = bytes([refused.exception]), 76 | 0x80
-            out += _HEAD.pack(number, 0, 2 + len(answer), unit, kind) + answer
-        self._pending = self._pending[-_MOST_PENDING_BYTES:]
+                function, answer = wire.REFUSED, bytes([refused.exception])
+            out += wire.encode(wire.Message(message.number, function, answer))
         return out
 
     def _carry_out(self, body: bytes) -> bytes:
-        out, at = b"", 0
-        while at + 4 <= len(body):
-            writes, address, count = struct.unpack_from(">BHB", body, at)
-            at += 4
-            if not writes:
-                out += self._read(address, count)
-                continue
-            self._write(address, body[at : at + 2 * count])
-            at += 2 * count
+        out = b""
+        for register, count, value in wire.parts_of(body):
+            if value is None:
+                out += self._read(register, count)
+            else:
+                self._write(register, value)
         return out
 
     def _read(self, address: int, count: int) -> bytes:
         facts = {
-            4002: struct.pack(">f", self._rate_Hz),
-            55000: struct.pack(">H", self._error),
-            60000: struct.pack(">f", 7.0),
-            60004: struct.pack(">f", 1.0299),
-            60028: struct.pack(">I", self._serial),
+            Register.STREAM_SCAN_RATE_HZ: struct.pack(">f", self._rate_Hz),
+            Register.LAST_ERROR: struct.pack(">H", self._error),
+            Register.PRODUCT: struct.pack(">f", 7.0),
+            Register.FIRMWARE: struct.pack(">f", 1.0299),
+            Register.SERIAL: struct.pack(">I", self._serial),
         }
-        match address:
-            case 61812:
-                at = self._number(61810) - _FLASH_AT
-                if not 0 <= at <= 164 - 2 * count:
-                    raise _Refused(_FAILED, 2350)
-                return self._flash()[at : at + 2 * count]
-            case 4500:
-                if self._stream is None:
-                    raise _Refused(_FAILED, _NOT_RUNNING)
-                answer = self._stream.take(count - 4)
-                if self._stream.status == 2942:
-                    self._stream = None
-                return answer
-            case _ if address in facts:
-                return facts[address]
-            case _ if 2000 <= address < 2016:
-                self._outputs.discard(address - 2000)
-                return b"\0\0"
-            case _:
-                raise _Refused(_NO_ADDRESS, 0)
+        if address in facts:
+            return facts[Register(address)]
+        if address == Register.FLASH:
+            at = self._number(Register.FLASH_POINTER) - wire.FLASH_CONSTANTS
+            if not 0 <= at <= CONSTANTS_BYTES["T7"] - 2 * count:
+                raise _Refused(_FAILED, _BAD_ADDRESS)
+            return self._flash()[at : at + 2 * count]
+        if address == Register.STREAM_DATA:
+            if self._stream is None:
+                raise _Refused(_FAILED, Status.STREAM_NOT_RUNNING)
+            answer = self._stream.take(count - wire.STATE_REGISTERS)
+            if self._stream.status == Status.SCAN_OVERLAP:
+                self._stream = None
+            return answer
+        if address not in _LINES:
+            raise _Refused(_NO_ADDRESS, 0)
+        self._outputs.discard(address - Register.DIGITAL_LINE)
+        return b"\0\0"
 
     def _flash(self) -> bytes:
         if self._faults["blank"]:
-            return b"\xff" * 164
-        sets = [(_SLOPE_V / share, -_SLOPE_V / share, _ZERO, -_ZERO * _SLOPE_V / share) for share in (1, 10, 100, 1000)]
-        return struct.pack(">32f", *(2 * [value for each in sets for value in each])) + bytes(36)
+            return BLANK_FLASH
+        constants = encode_constants("T7", {range_V: _SCALE.of_range(range_V) for range_V in RANGES_V})
+        return (2 * constants).ljust(CONSTANTS_BYTES["T7"], b"\0")  # once for each converter
 
     def _number(self, address: int) -> int:
         return int.from_bytes(self._registers.get(address, b"\0\0\0\0"), "big")
 
     def _write(self, address: int, data: bytes) -> None:
-        if address == 4990:
+        if address == Register.STREAM_ENABLE:
             self._enable(any(data))
-        elif 4002 <= address < 4990 and self._stream is not None:
-            raise _Refused(_FAILED, _ACTIVE)
-        elif address == 4100:
+        elif Register.STREAM_SCAN_RATE_HZ <= address < Register.STREAM_ENABLE and self._stream is not None:
+            raise _Refused(_FAILED, Status.STREAM_IS_ACTIVE)
+        elif address == Register.STREAM_SCAN_LIST:
             for place in range(0, len(data), 4):
-                self._registers[4100 + place // 2] = data[place : place + 4]
-        elif 2000 <= address < 2016:
-            self._outputs.add(address - 2000)
-        elif 4002 <= address < 4026 or 40000 <= address < 41014 or address in (48005, 61810):
+                self._registers[address + place // 2] = data[place : place + 4]
+        elif address in _LINES:
+            self._outputs.add(address - Register.DIGITAL_LINE)
+        elif any(address in each for each in _WRITABLE):
             self._registers[address] = data
         else:
             raise _Refused(_NO_ADDRESS, 0)
 
     def _enable(self, on: bool) -> None:
         if on == (self._stream is not None):
-            raise _Refused(_FAILED, _ACTIVE if on else _NOT_RUNNING)
+            raise _Refused(_FAILED, Status.STREAM_IS_ACTIVE if on else Status.STREAM_NOT_RUNNING)
         if not on:
             self._stream = None
             return
-        inputs, size = self._number(4004), self._number(4012)
-        listed = tuple(self._number(4100 + 2 * place) for place in range(inputs))
-        (rate,) = struct.unpack(">f", self._registers.get(4002, b"\0\0\0\0"))
-        checks = (
-            (listed != self._settings.scan_list, _LIST_INVALID),
-            (not 0 < rate * inputs <= _MOST_SAMPLES_PER_S, _RATE_INVALID),
-            (size > 32768 or size & (size - 1) or not size, _BUFFER_INVALID),
-            (self._number(4016) != 16, _TARGET_INVALID),
-        )
-        for wrong, detail in checks:
-            if wrong:
-                raise _Refused(_FAILED, detail)
+        inputs, size = self._number(Register.STREAM_ADDRESSES), self._number(Register.STREAM_BUFFER_BYTES)
+        listed = tuple(self._number(Register.STREAM_SCAN_LIST + 2 * place) for place in range(inputs))
+        (rate,) = struct.unpack(">f", self._registers.get(Register.STREAM_SCAN_RATE_HZ, b"\0\0\0\0"))
+        checks = {
+            _LIST_INVALID: listed != self._settings.scan_list,
+            _RATE_INVALID: not 0 < rate * inputs <= _MOST_SAMPLES_PER_S,
+            _BUFFER_INVALID: size > BUFFER_BYTES or size & (size - 1) or not size,
+            _TARGET_INVALID: self._number(Register.STREAM_TARGET) != wire.TARGET_COMMAND,
+        }
+        if wrong := next((detail for detail, is_wrong in checks.items() if is_wrong), None):
+            raise _Refused(_FAILED, wrong)
         self._rate_Hz = rate
         self._stream = _Buffer(size, inputs, self._settings.separator_counts)
         self._clock.restart()
@@ -250,7 +237,9 @@ class SimulatedLabJack(FarEnd):
 
     def sample(self, motion: MotionInterval) -> bytes:
         """Store the scans of an interval of motion; they are sent when they are read."""
-        if self._stream is None or not self.line_alive or self._number(4024):  # the trigger never comes
+        if (
+            self._stream is None or not self.line_alive or self._number(Register.STREAM_TRIGGER)
+        ):  # the trigger never comes
             return b""
         times = self._clock.due(motion, 1.0 / self._rate_Hz) / self._rate_Hz
         if len(times):
@@ -266,7 +255,7 @@ class SimulatedLabJack(FarEnd):
         return columns
 
     def _code(self, volts: Array, range_V: float) -> Array:
-        return np.clip(np.rint(_ZERO + volts / (_SLOPE_V * range_V / 10.0)), 0, 65534)
+        return np.clip(np.rint(_SCALE.zero + volts / _SCALE.of_range(range_V).above_V), 0, wire.NO_VALUE - 1)
 
     def _laser(self, name: str, laser: AnalogueLaser, motion: MotionInterval, device_s: Array) -> Array:
         reading = self._beams[name].reading(motion, device_s)
@@ -301,14 +290,13 @@ class SimulatedLabJack(FarEnd):
         elif what == "skips" and self._stream is not None:
             self._stream.skip(int(value))
         elif what == "overlap" and self._stream is not None:
-            self._stream.status = 2942
+            self._stream.status = Status.SCAN_OVERLAP
         elif what not in self.fault_kinds:
             super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. After power-up no stream runs."""
         super().power(on, now_s)
-        self._pending = b""
         self._start()
         if on:
             self._clock.power_up(now_s)

@@ -69,8 +69,7 @@ class IndexMarks:
         else:
             self._edges = EdgeFinder(self._sign * tacho.threshold_V, tacho.hysteresis_V)
         self._newest: tuple[int, int] | None = None  # number and time of the newest scan
-        self._turns = 0
-        self._last: tuple[float, float] | None = None  # device time of the newest mark and of the turn before it, ns
+        self._turn = -1  # number of the newest mark, with bounces
         self._scans_lost = False  # since the newest mark
 
     def scans_lost(self) -> None:
@@ -101,35 +100,23 @@ class IndexMarks:
         first_ns = int(times[0])
         mark_ns = first_ns + np.rint(np.interp(at, known, (times - first_ns).astype(np.float64))).astype(np.int64)
         own_ns = at * self._period_ns
-        out: list[Batch | DeviceEvent] = []
-        numbers: list[int | None] = []
-        for own, at_ns in zip(own_ns.tolist(), mark_ns.tolist(), strict=True):
-            found, events = self._examined(own, at_ns)
-            numbers.append(found)
-            out += events
-        whole = np.array([each is not None for each in numbers])
+        found = [self._numbered(own, at_ns) for own, at_ns in zip(own_ns.tolist(), mark_ns.tolist(), strict=True)]
+        out: list[Batch | DeviceEvent] = [event for _, events in found for event in events]
+        whole = np.array([number is not None for number, _ in found])
         if not whole.any():
             return out
-        turns = np.array([each for each in numbers if each is not None], np.uint32)
+        turns = np.array([number for number, _ in found if number is not None], np.uint32)
         columns = {"revolutions": turns, "node_time_us": np.rint(own_ns[whole] / 1000).astype(np.uint64)}
         return [*out, Batch(channels.TACHO, mark_ns[whole], turns, columns)]
 
-    def _examined(self, own_ns: float, time_ns: int) -> tuple[int | None, list[DeviceEvent]]:
-        """Return the number of a mark, None if it is a bounce, and the events about it."""
-        before, turn = self._last, self._turn(own_ns)
-        number, events = self._sequence.feed(round(own_ns), turn, time_ns)
-        if number is None:
-            self._last = before
-        return number, events
+    def _numbered(self, own_ns: float, time_ns: int) -> tuple[int | None, list[DeviceEvent]]:
+        """Return the number of a mark, None if it is a bounce, and the events about it.
 
-    def _turn(self, own_ns: float) -> int:
-        """Return the number of the revolution that a mark begins; marks that were lost with scans are counted."""
-        turns, turn_ns = 1, 0.0
-        if self._last is not None:
-            passed_ns, before_ns = own_ns - self._last[0], self._last[1]
-            if self._scans_lost and before_ns:
-                turns = max(1, round(passed_ns / before_ns))
-            turn_ns = passed_ns / turns
-            self._turns += turns
-        self._last, self._scans_lost = (own_ns, turn_ns), False
-        return self._turns
+        Marks that were lost with scans are counted by the time of the turn before.
+        """
+        self._turn += 1
+        due_ns, next_ns = self._sequence.due_ns(self._turn), self._sequence.due_ns(self._turn + 1)
+        if self._scans_lost and due_ns is not None and next_ns is not None:
+            self._turn += max(0, round((own_ns - due_ns) / (next_ns - due_ns)))
+        self._scans_lost = False
+        return self._sequence.feed(round(own_ns), self._turn, time_ns)

@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.settings import LabJack
-from daq.drivers.labjack.volts import RANGES_V, T4_INPUTS, VoltScale, nominal
+from daq.drivers.labjack.volts import BLANK_FLASH, VoltScale, encode_constants, nominal
 from daq.drivers.labjack.wire import Register
 from daq.drivers.played import PlayedDevice
 from daq.errors import DeviceError, LogError
@@ -45,8 +45,10 @@ class PlayedLabJack(PlayedDevice):
             }
         except (struct.error, TypeError, ValueError, OverflowError, DeviceError) as fault:
             raise LogError(f"identities.json: expected the identity of a LabJack: {fault}") from fault
+        of_place = {name if model == "T4" else settings.ranges_V[name]: scale for name, scale in scales.items()}
         blank = str(identity.get("constants", "")).startswith("nominal")
-        self._registers: dict[int, bytes] = {**answers, Register.FLASH: _flash(model, settings, scales, blank)}
+        flash = BLANK_FLASH if blank else encode_constants(model, of_place)
+        self._registers: dict[int, bytes] = {**answers, Register.FLASH: flash}
         self._open = False
 
     @property
@@ -69,26 +71,10 @@ class PlayedLabJack(PlayedDevice):
         return out
 
     def _carry_out(self, body: bytes) -> bytes:
-        out, at = b"", 0
-        while at + 4 <= len(body):
-            writes, address, count = struct.unpack_from(">BHB", body, at)
-            at += 4
-            if writes:
-                value, at = body[at : at + 2 * count], at + 2 * count
-                if address == Register.STREAM_ENABLE:
-                    self._open = any(value)
-                continue
-            out += self._registers.get(address, b"").ljust(2 * count, b"\0")[: 2 * count]
+        out = b""
+        for register, count, value in wire.parts_of(body):
+            if value is None:
+                out += self._registers.get(register, b"").ljust(2 * count, b"\0")[: 2 * count]
+            elif register == Register.STREAM_ENABLE:
+                self._open = any(value)
         return out
-
-
-def _flash(model: str, settings: LabJack, scales: Mapping[str, VoltScale], blank: bool) -> bytes:
-    """Return the constants in the flash, from the scales of the log's inputs."""
-    if blank:
-        return b"\xff" * 164
-    if model == "T4":
-        rows = [scales.get(name, nominal("T4", 10.0)) for name in T4_INPUTS]
-        return b"".join(struct.pack(">2f", row.above_V, -row.zero * row.above_V) for row in rows)
-    of_range = {settings.ranges_V[name]: scale for name, scale in scales.items()}
-    sets = [of_range.get(range_V, nominal("T7", range_V)) for range_V in RANGES_V]
-    return b"".join(struct.pack(">4f", row.above_V, -row.below_V, row.zero, -row.zero * row.below_V) for row in sets)

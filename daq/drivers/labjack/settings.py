@@ -28,7 +28,6 @@ RangeV = Annotated[float, AfterValidator(_known_range)]
 
 MOST_SAMPLES_PER_S = 30_000
 """Samples of all inputs together that the reads by command carry, with as many again to catch up."""
-_PORTS = {"FIO": 2500, "EIO": 2501}
 _STATES = ("FIO", "EIO")
 
 
@@ -200,4 +199,4 @@ def other_topic(name: str) -> str:
 
 
 def _address(name: str) -> int:
-    return 2 * int(name[3:]) if name.startswith("AIN") else _PORTS[name[:3]]
+    return 2 * int(name[3:]) if name.startswith("AIN") else wire.Register.LINE_STATES + _STATES.index(name[:3])

@@ -2,7 +2,7 @@
 
 The stream has no times: scans are counted. A scan's time is its number times the scan period on the device's clock,
 mapped to the common clock. Scans that the device reports as skipped advance the count. Answers that are missing, and a
-stream that the host started again, leave an unknown number of scans out: it is estimated from the host's time.
+stream that the host started again, leave an unknown number of scans out: those due by the host's time.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from daq.clock import ClockMap
 from daq.drivers.index_marks import MarkSequence
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.marks import IndexMarks
-from daq.drivers.labjack.pace import PaceWatch
-from daq.drivers.labjack.scans import Counts, ScanCutter, have_no_value
+from daq.drivers.labjack.scans import Counts, CutAnswer, ScanCutter, have_no_value
 from daq.drivers.labjack.settings import LabJack
 from daq.drivers.labjack.volts import VoltScale, nominal
 from daq.items import TX, Batch, DeviceEvent
+from daq.numbered.due_line import DueLine
 from rig_basics.texts import number_of
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
-BUFFER_BYTES = 32_768
-"""Size of the device's buffer; it must be a power of 2."""
-_FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
+_FILLING_BYTES, _EMPTY_BYTES = wire.BUFFER_BYTES // 2, wire.BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
 _MOST_EARLY_NS = 2_000_000_000  # by which skipped scans may exceed the host's time, for times that are not known well
 _INPUT_NS = 10_000  # from one input of a scan to the next, about
 _STEP_NS = 20_000_000  # least step of the clock that is reported; smaller ones are delays of the network
+_PACE_NS, _OTHER_PACE = 4_000_000_000, 0.05
+"""Time without losses after which another pace of the scans is that of another set-up: delays of a network that becomes
+slower grow by less."""
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
@@ -51,6 +52,7 @@ class LabJackPipeline:
             start of the stream (both estimated); "bytes": skipped; "refused": stream reads that the device refused;
             "invalid": voltages beyond the output of a displacement sensor, or above the range of its input.
         warning: text of the device's identity about nominal scales; empty if all are those of its flash.
+        set_up_lost: see NoticesLostSetUp: the scans have another pace than that of the set-up.
     """
 
     def __init__(
@@ -67,11 +69,9 @@ class LabJackPipeline:
         }
         self._inputs = len(settings.scan_list)
         self._decoder = wire.MessageDecoder()
-        self._pace = PaceWatch(1e9 / self._period_ns)
+        self.set_up_lost: str = ""
         sequence = MarkSequence(device, self.losses)
         self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns, sequence)
-        self._clock = self._new_clock()
-        self._has_learned = False  # whether the clock's map has seen a read whose age is known
         self._skips = False  # whether scans are being skipped: the age of samples is unknown
         self._next = 0  # number of the next scan
         self._cutter = ScanCutter(self._inputs)
@@ -79,28 +79,23 @@ class LabJackPipeline:
         self._start: tuple[int, int] | None = None  # number and host time of a start command without an answer
         self._started_ns: int | None = None  # host time of the start of a stream of which no scan has been read
         self._refusals = 0  # in a row
-        self._number: int | None = None  # transaction number of the newest stream read
-        self._newest: tuple[int, int] | None = None  # its host time, and its backlog in scans
         self._scan_ns: int | None = None  # time of the newest scan
         self._standing: set[str] = set()  # conditions that were reported and have not ended
-        self._held: list[tuple[int, wire.StreamRead, int]] = []  # answers whose place is doubted, as of `_decoded`
-
-    @property
-    def set_up_lost(self) -> str:
-        """See NoticesLostSetUp."""
-        return self._pace.wrong
-
-    @set_up_lost.setter
-    def set_up_lost(self, sign: str) -> None:
-        self._pace.wrong = sign
+        self._begin_clock()
 
     @property
     def clock_std_ns(self) -> float:
         """See StatesClockError. The inputs of a scan are read one after the other, but have the same time."""
         return math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
 
-    def _new_clock(self) -> ClockMap:
-        return ClockMap(self._settings.clock_tolerance_ppm)
+    def _begin_clock(self) -> None:
+        """Begin with scans whose numbers do not continue those before with certainty."""
+        self._clock = ClockMap(self._settings.clock_tolerance_ppm)
+        self._has_learned = False  # whether the clock's map has seen a read whose age is known
+        self._begin_due()
+
+    def _begin_due(self) -> None:
+        self._due, self._due_ns = DueLine(_STEP_NS), 0  # and the time of its first answer
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -137,14 +132,14 @@ class LabJackPipeline:
         if message.function == wire.FEEDBACK:
             self._started_ns = self._start[1]
             self._cutter.begin()
-            self._pace.begin()
-            self._held = []
+            self._begin_due()
+            self.set_up_lost = ""
         self._start = None
 
     def _refused(self, message: wire.Message) -> Items:
         """Count a refused read. One of them has no consequence: its scans are read with the next answer."""
         self.losses["refused"] += 1
-        self._number = message.number
+        self._cutter.refused(message.number)
         self._refusals += 1
         code = message.body[0] if message.body else 0
         text = f"it refuses to be read (exception {code})"
@@ -174,40 +169,25 @@ class LabJackPipeline:
             self.losses["bytes"] += len(message.body)
             text = f"the answer to a stream read has {number_of(len(message.body), 'byte')}, fewer than it states"
             return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
-        answer = message.number, read, host_ns
-        if self._is_doubted(message.number, read):
-            self._held.append(answer)
-            return self._misplaced(answer) if self._cutter.is_contradicted else []
-        held, self._held = self._held, []
-        return [item for each in (*held, answer) for item in self._decoded(*each)]
+        return [item for each in self._cutter.feed(message.number, read, host_ns) for item in self._decoded(each)]
 
-    def _is_doubted(self, number: int, read: wire.StreamRead) -> bool:
-        """Return whether an answer must be held; see ScanCutter. Answers missing before it are known to be missing."""
-        newest = self._held[-1][0] if self._held else self._number
-        follows = newest is not None and (number - newest) % wire.FIRST_STREAM_ID == 1
-        if self._started_ns is not None or not follows:
-            return False
-        return self._cutter.doubts(len(read.samples), read.backlog_bytes // 2)
-
-    def _misplaced(self, newest: tuple[int, wire.StreamRead, int]) -> Items:
-        """Return the event about answers whose samples belong to other inputs, and the samples of the newest one.
-
-        The answers before it are dropped; the scans lost with them are estimated, as those of missing answers.
-        """
-        dropped, self._held = self._held[:-1], []
-        samples = sum(len(read.samples) for _, read, _ in dropped)
-        text = f"samples are missing within a scan, without a report (another program reads the stream): {samples} "
-        text += "samples whose inputs are not certain were dropped"
-        return [DeviceEvent("damage", self._device, text, {"samples": samples}), *self._decoded(*newest)]
-
-    def _decoded(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
-        """Return the events and samples of an answer; the answers that may be missing before it are looked for."""
-        out, scans = self._next_scans(number, read, host_ns)
-        out += self._state(read)
+    def _decoded(self, answer: CutAnswer) -> Items:
+        """Return the events and samples of an answer."""
+        read, host_ns, scans, _, dropped = answer
+        out: Items = []
+        if dropped:
+            text = f"samples are missing within a scan, without a report (another program reads the stream): {dropped} "
+            text += "samples whose inputs are not certain were dropped"
+            out.append(DeviceEvent("damage", self._device, text, {"samples": dropped}))
         if scans is None:
-            return out
+            return [*out, *self._state(read)]
+        if self._started_ns is not None:
+            out += self._started_again(self._started_ns, read, host_ns)
+        elif answer.is_after_missing:
+            out += self._missing_answers(read, host_ns)
+        out += self._state(read)
         ended, self._ended = self._ended or (read if read.status in _ENDED else None), None
-        waiting = read.backlog_bytes // (2 * self._inputs)
+        waiting = read.waiting // self._inputs
         sent_ns = host_ns - round(waiting * self._period_ns)
         self._skips |= read.status == wire.Status.RECOVERING
         if ended is not None:
@@ -222,26 +202,22 @@ class LabJackPipeline:
             else:  # the rest of the separator comes with the next answer
                 self._ended = ended
         out += self._scans(scans, sent_ns)
-        self._newest = host_ns, waiting
-        if self._skips:
-            self._pace.pause()
-        else:
-            self._pace.add(self._next + waiting, host_ns)
+        self._watch_pace(self._next + waiting, host_ns)
         return out
 
-    def _next_scans(self, number: int, read: wire.StreamRead, host_ns: int) -> tuple[Items, Counts | None]:
-        """Return the events about scans missing before an answer, and its scans; None if their start is unknown."""
-        missing = self._started_ns is None and self._are_missing(number)
-        if missing:
-            self._cutter.lose()
-            self._ended = None
-        scans = self._cutter.cut(read.samples, read.backlog_bytes // 2)
-        if scans is None:
-            return [], None
-        self._number = number
-        if self._started_ns is not None:
-            return self._started_again(self._started_ns, read, host_ns), scans
-        return self._missing_answers(read, host_ns) if missing else [], scans
+    def _watch_pace(self, number: int, host_ns: int) -> None:
+        """Take the number of the newest scan that the device has measured, and compare the scans' pace."""
+        if self._skips:
+            self._begin_due()
+            return
+        self._due.take(number * self._period_ns, host_ns)
+        self._due_ns = self._due_ns or host_ns
+        if host_ns - self._due_ns > _PACE_NS and abs(1 / self._due.pace - 1) > _OTHER_PACE:
+            rate_Hz = 1e9 / self._period_ns
+            self.set_up_lost = (
+                f"its scans come at about {rate_Hz / self._due.pace:.0f} Hz instead of {rate_Hz:.0f} Hz, so that their "
+                "times are wrong: another program has set up its stream. End that program"
+            )
 
     def _state(self, read: wire.StreamRead) -> Items:
         """Return the events about the state of the stream."""
@@ -259,7 +235,7 @@ class LabJackPipeline:
         """Return the events of a buffer that fills, and of one that was full."""
         backlog = read.backlog_bytes
         fills = backlog > _FILLING_BYTES or ("backlog" in self._standing and backlog > _EMPTY_BYTES)
-        text = f"{backlog} of {BUFFER_BYTES} bytes wait in its buffer: the host or the network is late"
+        text = f"{backlog} of {wire.BUFFER_BYTES} bytes wait in its buffer: the host or the network is late"
         out = self._reported("backlog", fills, "backlog", text, backlog_bytes=backlog)
         full = read.status == wire.Status.RECOVERING
         text = "its buffer was full: it skips scans until the buffer has been read"
@@ -267,25 +243,24 @@ class LabJackPipeline:
 
     # --- lost scans ----------------------------------------------------------------------------------------------
 
-    def _are_missing(self, number: int) -> bool:
-        """Return whether answers are missing before one of the present stream."""
-        if self._number is None or self._newest is None:
-            return False
-        return (number - self._number) % wire.FIRST_STREAM_ID != 1
+    def _behind(self, at_ns: int, scans: int) -> int:
+        """Return the number of scans due by a host time, without these, of which the last one was measured then."""
+        return 0 if self._scan_ns is None else round((at_ns - self._scan_ns) / self._period_ns) - scans
+
+    def _scans_of(self, read: wire.StreamRead) -> int:
+        """Return the number of scans that an answer has, and that wait behind it."""
+        return (len(read.samples) + read.waiting) // self._inputs
 
     def _missing_answers(self, read: wire.StreamRead, host_ns: int) -> Items:
         """Return the event about answers missing before this one; the number of their scans is estimated.
 
         The scans that a device with a full buffer skips are not among them: it will report their number.
         """
-        then_ns, waited = self._newest or (host_ns, 0)
-        late_ns = 0 if self._scan_ns is None else then_ns - self._scan_ns - waited * self._period_ns
-        if late_ns > _STEP_NS:  # the answer before was late
-            then_ns -= round(late_ns)
-        lost = round((host_ns - then_ns) / self._period_ns) - (self._scans_of(read) - waited)
+        self._ended = None
+        lost = self._behind(host_ns, self._scans_of(read))
         if lost <= 0 or read.status == wire.Status.RECOVERING:
             return []
-        return [self._lost(lost, f"about {number_of(lost, 'scan')} lost: answers are missing", uncertain_samples=lost)]
+        return [self._lost(lost, f"about {number_of(lost, 'scan')} lost: answers are missing")]
 
     def _started_again(self, started_ns: int, read: wire.StreamRead, host_ns: int) -> Items:
         """Return the event about a new stream. Its first answer gives the number of scans lost before it (estimated).
@@ -295,21 +270,15 @@ class LabJackPipeline:
         self._started_ns, self._skips, self._ended = None, False, None
         if self._scan_ns is None:
             return []
-        first_ns = host_ns - round(self._scans_of(read) * self._period_ns)
-        if read.status == wire.Status.RECOVERING or first_ns < started_ns:
-            first_ns = started_ns
-        between = round((first_ns - self._scan_ns) / self._period_ns) - 1
-        lost = max(0, between)
+        behind = self._behind(started_ns, 1)
+        if read.status != wire.Status.RECOVERING:
+            behind = max(behind, self._behind(host_ns, self._scans_of(read)))
+        lost = max(0, behind)
         text = (
             f"its stream was started again: about {number_of(lost, 'scan')} lost "
             f"({lost * self._period_ns * 1e-6:.0f} ms)"
         )
-        is_ahead = between < 0  # the clock goes back without a jump
-        return [self._lost(lost, text, keeps_clock=is_ahead, uncertain_samples=lost)]
-
-    def _scans_of(self, read: wire.StreamRead) -> int:
-        """Return the number of scans that an answer has, and that wait behind it."""
-        return (len(read.samples) + read.backlog_bytes // 2) // self._inputs
+        return [self._lost(lost, text, keeps_clock=behind < 0)]  # times that are ahead do not go back
 
     def _skipped(self, read: wire.StreamRead, host_ns: int, waiting: int) -> Items:
         """Return the event about scans that the device skipped because its buffer was full.
@@ -317,9 +286,9 @@ class LabJackPipeline:
         Args:
             waiting: number of scans from the separator on.
         """
-        behind_ns = 0.0 if self._scan_ns is None else host_ns - self._scan_ns - waiting * self._period_ns
+        behind = self._behind(host_ns, waiting)
         stated = read.info + (not self._settings.separator_counts)
-        is_possible = not self._has_learned or stated * self._period_ns < behind_ns + _MOST_EARLY_NS
+        is_possible = not self._has_learned or (stated - behind) * self._period_ns < _MOST_EARLY_NS
         if read.status == wire.Status.RECOVERED and is_possible:
             span = f"{stated * self._period_ns * 1e-6:.1f} ms"
             self._advance(stated)
@@ -327,18 +296,16 @@ class LabJackPipeline:
             facts = {"samples": stated, "span_s": stated * self._period_ns * 1e-9}
             return [DeviceEvent("gap", self._device, text, facts)]
         why = "more than it counts" if read.status != wire.Status.RECOVERED else f"it states {stated}, too many"
-        lost = max(0, round(behind_ns / self._period_ns))
-        return [
-            self._lost(lost, f"about {number_of(lost, 'scan')} skipped by the device: {why}", uncertain_samples=lost)
-        ]
+        lost = max(0, behind)
+        return [self._lost(lost, f"about {number_of(lost, 'scan')} skipped by the device: {why}")]
 
-    def _lost(self, lost: int, text: str, *, keeps_clock: bool = False, **facts: int) -> DeviceEvent:
+    def _lost(self, lost: int, text: str, *, keeps_clock: bool = False) -> DeviceEvent:
+        """Return the event about lost scans, whose number is an estimate."""
         self._advance(lost)
-        self._pace.pause()
         if not keeps_clock:
-            self._clock, self._has_learned = self._new_clock(), False
+            self._begin_clock()
         span = lost * self._period_ns * 1e-9
-        return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, **facts})
+        return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span, "uncertain_samples": lost})
 
     def _advance(self, lost: int) -> None:
         self.losses["samples"] += lost
@@ -384,7 +351,7 @@ class LabJackPipeline:
         """Return the times of scans on the common clock, and the event about a step of the clock."""
         learn = not self._skips
         if learn and not self._has_learned:  # times until here had no known age
-            self._clock, self._has_learned = self._new_clock(), True
+            self._clock, self._has_learned = ClockMap(self._settings.clock_tolerance_ppm), True
         time_ns = self._clock.map(device_ns, sent_ns, learn=learn)
         self._scan_ns = int(time_ns[-1])
         step_ns = self._clock.step_ns

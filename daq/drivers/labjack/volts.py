@@ -23,6 +23,8 @@ _T7_BYTES, _T7_SET_BYTES = 164, 16
 _T4_BYTES, _T4_SET_BYTES = 76, 8
 CONSTANTS_BYTES = {"T7": _T7_BYTES, "T4": _T4_BYTES}
 """Size of the constants in the flash by model, bytes."""
+BLANK_FLASH = b"\xff" * _T7_BYTES
+"""Content of a flash without constants."""
 T4_INPUTS = ("AIN0", "AIN1", "AIN2", "AIN3")
 """Inputs of a T4 for ±10 V. Its other inputs are for 0 to 2.5 V and shared with digital lines: not supported."""
 T4_MISSING_LINES = ("FIO0", "FIO1", "FIO2", "FIO3")
@@ -47,6 +49,10 @@ class VoltScale:
         """Return the volts of counts, shape (n,)."""
         off = counts.astype(np.float64) - self.zero
         return off * np.where(off < 0, self.below_V, self.above_V)
+
+    def of_range(self, range_V: float) -> VoltScale:
+        """Return the scale of another range, from that of ±10 V."""
+        return VoltScale(self.zero, self.above_V * range_V / 10.0, self.below_V * range_V / 10.0)
 
     def facts(self, name: str) -> dict[str, float]:
         """Return the scale as entries of a device's identity."""
@@ -83,8 +89,7 @@ def nominal(model: str, range_V: float) -> VoltScale:
     """
     if model == "T4":
         return VoltScale(10.532965 / 3.235316e-4, 3.235316e-4, 3.235316e-4)
-    share = range_V / 10.0
-    return VoltScale(33523.0, 3.15805780e-4 * share, 3.15805800e-4 * share)
+    return VoltScale(33523.0, 3.15805780e-4, 3.15805800e-4).of_range(range_V)
 
 
 def read_constants(model: str, name: str, range_V: float, data: bytes) -> VoltScale | None:
@@ -103,3 +108,17 @@ def read_constants(model: str, name: str, range_V: float, data: bytes) -> VoltSc
         slope, offset = struct.unpack_from(">2f", data, _T4_SET_BYTES * T4_INPUTS.index(name))
         scale = VoltScale(-offset / slope if slope else math.nan, slope, slope)
     return scale if scale.is_possible else None
+
+
+def encode_constants(model: str, scales: Mapping[float | str, VoltScale]) -> bytes:
+    """Return the constants in the flash; see `read_constants`.
+
+    Args:
+        model: "T7" or "T4".
+        scales: scale of each range of a T7, or of each input of a T4; those left out are nominal.
+    """
+    if model == "T4":
+        rows = [scales.get(name, nominal("T4", 10.0)) for name in T4_INPUTS]
+        return b"".join(struct.pack(">2f", row.above_V, -row.zero * row.above_V) for row in rows)
+    rows = [scales.get(range_V, nominal("T7", range_V)) for range_V in RANGES_V]
+    return b"".join(struct.pack(">4f", row.above_V, -row.below_V, row.zero, -row.zero * row.below_V) for row in rows)

@@ -13,9 +13,10 @@ information, and samples of 16 bits in the order of the scan list. What is not v
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ class Register(IntEnum):
     """Addresses of registers."""
 
     DIGITAL_LINE = 2000
+    LINE_STATES = 2500
     STREAM_SCAN_RATE_HZ = 4002
     STREAM_ADDRESSES = 4004
     STREAM_SAMPLES_PER_PACKET = 4006
@@ -71,6 +73,8 @@ class Register(IntEnum):
 
 TARGET_COMMAND = 16
 """Value of STREAM_TARGET: the stream is read by commands, on the port and the connection of all commands."""
+BUFFER_BYTES = 32_768
+"""Size of the device's buffer that is set up; it must be a power of 2."""
 FLASH_CONSTANTS = 0x3C4000
 """Address of the calibration constants in the internal flash."""
 
@@ -118,17 +122,11 @@ class Message:
     body: bytes
 
 
-@dataclass
-class DecodedMessages:
-    """Messages of one read, and the number of bytes between them that belong to none.
+class DecodedMessages(NamedTuple):
+    """Messages of one read, and the number of bytes between them that belong to none."""
 
-    Attributes:
-        before_bytes: bytes before the first message of all, at most those of one message: a log may begin within one.
-    """
-
-    messages: list[Message] = field(default_factory=list[Message])
-    skipped_bytes: int = 0
-    before_bytes: int = 0
+    messages: list[Message]
+    skipped_bytes: int
 
 
 def encode(message: Message) -> bytes:
@@ -168,18 +166,24 @@ def stream_request(count: int, inputs: int) -> bytes:
     return request(stream_number(count), [read(Register.STREAM_DATA, registers)])
 
 
+def parts_of(body: bytes) -> Iterator[tuple[int, int, bytes | None]]:
+    """Yield register, number of registers, and the bytes to write of each part of a request; None for a read."""
+    at = 0
+    while at + _PART.size <= len(body):
+        kind, register, count = _PART.unpack_from(body, at)
+        at += _PART.size
+        yield register, count, None if kind == _READ else body[at : at + 2 * count]
+        at += 0 if kind == _READ else 2 * count
+
+
 def start_number(data: bytes) -> int | None:
     """Return the transaction number of a request that starts the stream; None for all other bytes of the host."""
     for message in MessageDecoder().feed(data).messages:
-        body, at = message.body, 0
-        while message.number < FIRST_STREAM_ID and at + _PART.size <= len(body):
-            kind, register, count = _PART.unpack_from(body, at)
-            at += _PART.size
-            if kind == _READ:
-                continue
-            if register == Register.STREAM_ENABLE and any(body[at : at + 2 * count]):
-                return message.number
-            at += 2 * count
+        written = [
+            any(value or b"") for register, _, value in parts_of(message.body) if register == Register.STREAM_ENABLE
+        ]
+        if message.number < FIRST_STREAM_ID and any(written):
+            return message.number
     return None
 
 
@@ -199,6 +203,11 @@ class StreamRead:
     status: int
     info: int
 
+    @property
+    def waiting(self) -> int:
+        """Number of samples that wait in the device's buffer."""
+        return self.backlog_bytes // 2
+
 
 def parse_stream(body: bytes) -> StreamRead | None:
     """Read the body of the answer to a stream read; None if it is not one. Bytes after the samples are padding."""
@@ -216,27 +225,25 @@ class MessageDecoder:
 
     def __init__(self) -> None:
         self._rest = b""
-        self._before = 6 + _LONGEST_BYTES  # bytes that may precede the first message
+        self._before = 6 + _LONGEST_BYTES  # bytes that may precede the first message: a log may begin within one
 
     def feed(self, data: bytes) -> DecodedMessages:
         """Decode the next bytes."""
-        stream, found, at = self._rest + data, DecodedMessages(), 0
+        stream, at = self._rest + data, 0
+        messages: list[Message] = []
+        skipped = 0
         while len(stream) - at >= _HEADER.size:
             number, protocol, length, unit, function = _HEADER.unpack_from(stream, at)
             known = protocol == 0 and unit == _UNIT and function in _ANSWER_FUNCTIONS
             if not known or not 2 <= length <= _LONGEST_BYTES:
+                skipped += self._before <= 0
+                self._before -= 1
                 at += 1
-                if self._before:
-                    self._before -= 1
-                    found.before_bytes += 1
-                else:
-                    found.skipped_bytes += 1
                 continue
             end = at + 6 + length
             if end > len(stream):
                 break
-            found.messages.append(Message(number, function, stream[at + _HEADER.size : end]))
-            self._before = 0
-            at = end
+            messages.append(Message(number, function, stream[at + _HEADER.size : end]))
+            self._before, at = 0, end
         self._rest = stream[at:]
-        return found
+        return DecodedMessages(messages, skipped)

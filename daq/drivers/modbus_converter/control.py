@@ -90,9 +90,8 @@ class ConverterControl:
             with self._lock:
                 self._report, self._report_ns = report, self._clock.now_ns()
                 self._reports += 1
-                now = states.state(self._registers, report.status)
-                if self._armed and now != states.RUNNING:
-                    self._armed, self.dropped_out = False, self.dropped_out or now
+                if self._armed and report.state != states.RUNNING:
+                    self._armed, self.dropped_out = False, self.dropped_out or report.state
                     self._order_stop()  # it may run again by itself after a fault
 
     def _recent(self) -> Report | None:
@@ -110,7 +109,7 @@ class ConverterControl:
     def state(self) -> str:
         """See SpeedSource."""
         report = self._recent()
-        return states.UNKNOWN if report is None else states.state(self._registers, report.status)
+        return states.UNKNOWN if report is None else report.state
 
     @property
     def enabled(self) -> bool:
@@ -158,9 +157,7 @@ class ConverterControl:
                 with self._lock:
                     check()
                 if self._clock.wall_s() > deadline:
-                    raise DeviceError(
-                        f"drive: no answer to {_what(waiting[0].request)}. Look at its power and its line"
-                    )
+                    raise DeviceError(f"drive: no answer to {waiting[0].request.words}. Look at its power and its line")
                 self._line.beat()
                 self._clock.wait(0.002)
         finally:
@@ -168,7 +165,7 @@ class ConverterControl:
         for order in orders:
             assert order.answer is not None
             if order.answer.exception:
-                raise DeviceError(f"drive: it refuses {_what(order.request)}: {order.answer.refusal}")
+                raise DeviceError(f"drive: it refuses {order.request.words}: {order.answer.refusal}")
         return orders
 
     def _read(self, register: int) -> int:
@@ -468,9 +465,3 @@ class ConverterControl:
                 self._watch_set = False
         self._ordered = False
         return True
-
-
-def _what(request: wire.Request) -> str:
-    if request.function in wire.READS:
-        return f"a read of register {request.register}"
-    return f"{', '.join(map(str, request.values))} in register {request.register}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -39,7 +38,7 @@ class ModbusConverterDriver(PlainDriver):
 
     def pipeline(self, device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.modbus_converter.stream import ConverterPipeline  # imports pymodbus
+        from daq.drivers.modbus_converter.stream import ConverterPipeline
 
         return ConverterPipeline(device, settings)
 
@@ -66,10 +65,6 @@ class ModbusConverterDriver(PlainDriver):
         from daq.drivers.modbus_converter.played import PlayedConverter
 
         return PlayedConverter(settings)
-
-    def prepare(self) -> None:
-        """See Driver."""
-        importlib.import_module("daq.drivers.modbus_converter.stream")  # imports pymodbus
 
     def open(self, device: str, settings: ModbusConverter, talk: Talk) -> dict[str, Any]:
         """See Driver. The converter is polled by its command (`control`)."""

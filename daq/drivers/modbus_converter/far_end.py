@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from pymodbus.constants import ExcCodes
-from pymodbus.framer.rtu import FramerRTU
-
+from daq.drivers.modbus_converter import wire
 from daq.drivers.modbus_converter.registers import Registers
 from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.drivers.simulated import FarEnd, FaultKind
@@ -20,7 +17,8 @@ _ANSWER_S = 0.005  # from the request to the answer, rig s
 _SILENCE_S = 0.02  # rig s after which received bytes are the beginning of another frame
 _QUICK_RPM_S, _COAST_RPM_S = 4000.0, 30.0
 _MOST_REGISTERS = 16
-_LONGEST_BYTES = 256
+_NO_FUNCTION, _NO_REGISTER, _BAD_VALUE, _FAILED = 1, 2, 3, 4
+"""Exception codes."""
 
 
 class RegisterServer:
@@ -55,59 +53,41 @@ class RegisterServer:
     def receive(self, data: bytes) -> bytes:
         """Take bytes of a frame; return the answer with its last byte, if the frame is for this converter."""
         self._frame += data
-        frame = bytes(self._frame)
-        if len(frame) < 4 or not FramerRTU.check_CRC(frame[:-2], int.from_bytes(frame[-2:], "big")):
-            del self._frame[:-_LONGEST_BYTES]
+        request = wire.parse_request(bytes(self._frame))
+        if request is None:
+            del self._frame[: -wire.LONGEST_FRAME_BYTES]
             return b""
         self._frame.clear()
-        if frame[0] != self._settings.address:
+        if request.address != self._settings.address:
             return b""
         self.requests += 1
-        body = self._answer(frame[1], frame[2:-2])
-        if not body:
-            return b""
-        whole = bytes([self._settings.address]) + body
-        return whole + FramerRTU.compute_CRC(whole).to_bytes(2, "big")
+        answer = self._answer(request)
+        return b"" if answer is None else wire.encode_answer(answer)
 
-    def _answer(self, function: int, body: bytes) -> bytes:
-        r = self._settings.registers
-        if function == r.read_function and len(body) == 4:
-            return self._read(function, *struct.unpack(">HH", body))
-        if function == r.write_function == 6 and len(body) == 4:
-            register, value = struct.unpack(">HH", body)
-            return self._write(function, register, (value,)) or bytes([function]) + body
-        if function == r.write_function == 16 and len(body) >= 5:
-            register, count, size = struct.unpack(">HHB", body[:5])
-            values = struct.unpack(f">{len(body[5:]) // 2}H", body[5 : 5 + len(body[5:]) // 2 * 2])
-            if not len(values) == count == size / 2:
-                return _refusal(function, ExcCodes.ILLEGAL_VALUE)
-            return self._write(function, register, values) or bytes([function]) + body[:4]
-        return _refusal(function, ExcCodes.ILLEGAL_FUNCTION)
+    def _answer(self, request: wire.Request) -> wire.Answer | None:
+        r, first = self._settings.registers, request.register
+        if request.function not in (r.read_function, r.write_function):
+            return wire.Answer(request, exception=_NO_FUNCTION)
+        if request.function == r.write_function:
+            return wire.Answer(request, exception=self._write(first, request.values))
+        if not self._readable(first, request.count):
+            return None
+        if request.count > _MOST_REGISTERS:
+            return wire.Answer(request, exception=_BAD_VALUE)
+        values = tuple(self.words[number] for number in range(first, first + request.count) if number in self.words)
+        if len(values) < request.count:
+            return wire.Answer(request, exception=_NO_REGISTER)
+        return wire.Answer(request, values)
 
-    def _read(self, function: int, register: int, count: int) -> bytes:
-        if not self._readable(register, count):
-            return b""
-        if not 1 <= count <= _MOST_REGISTERS:
-            return _refusal(function, ExcCodes.ILLEGAL_VALUE)
-        if any(number not in self.words for number in range(register, register + count)):
-            return _refusal(function, ExcCodes.ILLEGAL_ADDRESS)
-        values = [self.words[number] for number in range(register, register + count)]
-        return struct.pack(f">BB{count}H", function, 2 * count, *values)
-
-    def _write(self, function: int, first: int, values: tuple[int, ...]) -> bytes:
-        """Execute a write; return the refusal, or nothing."""
+    def _write(self, first: int, values: tuple[int, ...]) -> int:
+        """Execute a write; return the exception code of a refusal, or 0."""
         for register, value in enumerate(values, first):
-            kept = register - self._settings.registers.write_offset if register not in self.words else register
-            if kept not in self.words:
-                return _refusal(function, ExcCodes.ILLEGAL_ADDRESS)
-            if code := self._written(kept, value):
-                return _refusal(function, code)
+            kept = register if register in self.words else register - self._settings.registers.write_offset
+            code = self._written(kept, value) if kept in self.words else _NO_REGISTER
+            if code:
+                return code
             self.words[kept] = value
-        return b""
-
-
-def _refusal(function: int, code: int) -> bytes:
-    return bytes([function | 0x80, code])
+        return 0
 
 
 def initial_words(settings: ModbusConverter) -> dict[int, int]:
@@ -179,9 +159,7 @@ class SimulatedConverter(FarEnd):
         self.collisions: int = 0
         self.faults: list[int] = []
         self._now_s, self._received_s = 0.0, -1.0
-        self._late_s, self._exception = 0.0, 0
-        self._reported_share = self._watch_ratio = 1.0
-        self._mute = self._deaf = self._damages = False
+        self._faults = {name: kind.end for name, kind in self.fault_kinds.items() if kind.end is not None}
         self._server = RegisterServer(settings, {}, self._written)
         self._start()
 
@@ -214,29 +192,16 @@ class SimulatedConverter(FarEnd):
 
     def fail(self, what: str, value: Any) -> None:
         """See FarEnd and `fault_kinds`."""
-        match what:
-            case "fault":
-                self._trip(int(value))
-            case "restart":
-                self._start()
-            case "mute":
-                self._mute = bool(value)
-            case "deaf":
-                self._deaf = bool(value)
-            case "late":
-                self._late_s = float(value)
-            case "refuses":
-                self._exception = int(value)
-            case "damage":
-                self._damages = bool(value)
-            case "time-out":
-                self._watch_ratio = float(value)
-            case "reported share":
-                self._reported_share = float(value)
-            case "speed":
-                self._runaway_rpm = float(value)
-            case _:
-                super().fail(what, value)
+        if what in self._faults:
+            self._faults[what] = float(value)
+        elif what == "fault":
+            self._trip(int(value))
+        elif what == "restart":
+            self._start()
+        elif what == "speed":
+            self._runaway_rpm = float(value)
+        else:
+            super().fail(what, value)
 
     def _trip(self, code: int) -> None:
         self._fault, self.state = code, "off"
@@ -266,7 +231,7 @@ class SimulatedConverter(FarEnd):
         if self._now_s - self._received_s > _SILENCE_S:
             self._server.silence()
         self._received_s = self._now_s
-        if self._deaf:
+        if self._faults["deaf"]:
             return b""
         if any(due_s <= self._now_s + _ANSWER_S for due_s, _ in self._answers):
             self.collisions += 1  # both drive the same two wires: neither frame is intact
@@ -277,10 +242,10 @@ class SimulatedConverter(FarEnd):
         answer = self._server.receive(data)
         if self._server.requests > before:
             self._heard_s = self._now_s
-        if answer and not self._mute:
-            damaged = bytes([answer[0], answer[1] ^ 0x10, *answer[2:]]) if self._damages else answer
+        if answer and not self._faults["mute"]:
+            damaged = bytes([answer[0], answer[1] ^ 0x10, *answer[2:]]) if self._faults["damage"] else answer
             free_s = self._answers[-1][0] if self._answers else self._now_s  # it answers in order
-            self._answers.append((max(free_s, self._now_s + self._late_s) + _ANSWER_S, damaged))
+            self._answers.append((max(free_s, self._now_s + self._faults["late"]) + _ANSWER_S, damaged))
         return b""
 
     def _measure(self) -> None:
@@ -290,19 +255,18 @@ class SimulatedConverter(FarEnd):
         words[r.status] = _status(r, running=running, reverse=self._direction < 0, fault=bool(self._fault))
         if r.fault_code is not None:
             words[r.fault_code] = self._fault
-        field_Hz = (
-            self.speed_rpm * self._reported_share / (1 - self._slip) * s.gear * s.pole_pairs / 60 if running else 0
-        )
+        reported_rpm = self.speed_rpm * self._faults["reported share"] if running else 0.0
+        field_Hz = reported_rpm / (1 - self._slip) * s.gear * s.pole_pairs / 60
         shown = {"Hz": field_Hz, "rpm": 60 * field_Hz / s.pole_pairs, "%": 100 * field_Hz / s.max_Hz}[r.speed_unit]
         counts = round(shown / r.speed_step)
         words[r.speed] = counts & 0xFFFF if r.speed_signed else min(abs(counts), 0xFFFF)
 
     def _written(self, register: int, value: int) -> int:
         r = self._settings.registers
-        if self._exception:
-            return self._exception
+        if self._faults["refuses"]:
+            return int(self._faults["refuses"])
         if register in (r.status, r.speed, r.fault_code):
-            return ExcCodes.ILLEGAL_ADDRESS
+            return _NO_REGISTER
         if register == r.control:
             return self._command(value)
         return 0
@@ -318,10 +282,10 @@ class SimulatedConverter(FarEnd):
             self._runaway_rpm = None
         elif word in (r.run, r.run_reverse):
             if self._fault:
-                return ExcCodes.DEVICE_FAILURE
+                return _FAILED
             self.state, self._direction = "run", -1 if word == r.run_reverse else 1
         elif word not in r.before_run:
-            return ExcCodes.ILLEGAL_VALUE
+            return _BAD_VALUE
         return 0
 
     def step(self, now_s: float) -> bytes:
@@ -366,7 +330,7 @@ class SimulatedConverter(FarEnd):
 
     def _watch(self) -> None:
         """Stop along the ramp if no request has come within the timeout; at rest there is a fault."""
-        limit_ms = self.watchdog_ms * self._watch_ratio
+        limit_ms = self.watchdog_ms * self._faults["time-out"]
         if not limit_ms or self._heard_s is None or (self._now_s - self._heard_s) * 1e3 <= limit_ms:
             return
         self._heard_s = None  # the watch begins again with the next request

@@ -74,12 +74,9 @@ class RequestLine:
         self._resume_s = 0.0  # time until which commands wait because the converter is busy; reads go on
         self._next_poll = 0
         self._probes = [wire.Request(settings.address, function, settings.registers.status, 1), *self._polls]
-        self._missed: dict[
-            tuple[int, ...], float
-        ] = {}  # shapes of unanswered reads, and when their answers are overdue
+        self._missed: dict[wire.Request, float] = {}  # unanswered reads, and when their answers are overdue
         watchdog = settings.registers.watchdog
         self._evidence = None if watchdog is None else wire.Request(settings.address, function, watchdog, 1)
-        self._evidence_s = 0.0  # time after which unanswered reads of it are overdue
         self._unanswered = 0  # requests in turn without an answer
         self.polling: bool = False
         self.sent_ns: int = 0
@@ -115,7 +112,6 @@ class RequestLine:
             self._unanswered = 0
             if answer.request != self._evidence:  # several such reads may be outstanding
                 self._missed.clear()
-                self._evidence_s = 0.0
             asked = self._asked
             if asked is not None and asked.request == answer.request:
                 self._asked = None
@@ -146,11 +142,8 @@ class RequestLine:
                 return None
             asked, self._asked = self._asked, None
             self._unanswered += 1
-            overdue_s = self._asked_s + _LATEST_ANSWERS * self._answer_s
-            if asked.request == self._evidence:
-                self._evidence_s = overdue_s
-            elif asked.request.function in wire.READS:
-                self._missed[asked.request.shape] = overdue_s
+            if asked.request.function in wire.READS:
+                self._missed[asked.request] = self._asked_s + _LATEST_ANSWERS * self._answer_s
             if asked.tries > 0:
                 self._orders.appendleft(asked)
         if now < self._free_s:
@@ -180,7 +173,9 @@ class RequestLine:
         return Order(wanted, tries=1)
 
     def _confusable(self, request: wire.Request, now: float) -> bool:
-        if request.function not in wire.READS:
-            return False
-        looks_like = self._evidence is not None and request.shape == self._evidence.shape and request != self._evidence
-        return now < self._missed.get(request.shape, 0.0) or (looks_like and now < self._evidence_s)
+        """Whether the late answer to another read could be taken for that of a request.
+
+        All answers to reads of the communication timeout are alike.
+        """
+        missed = [each for each, overdue_s in self._missed.items() if now < overdue_s and each.shape == request.shape]
+        return any(each != request or each != self._evidence for each in missed)

@@ -29,11 +29,13 @@ class Report:
 
     Attributes:
         status: status word.
+        state: state that it contains.
         fault: code of the present fault, 0 without one or if it is not readable.
         rpm: speed of the rotor for the reported frequency, rpm; NaN without torque at the rotor.
     """
 
     status: int
+    state: str
     fault: int
     rpm: float
 
@@ -65,7 +67,7 @@ class ConverterPipeline:
         self._missing = 0  # requests without an intact answer since the last one
         self._words: dict[int, int] = {}  # registers of the present report
         self._control, self._reference = settings.registers.stop, 0
-        self._status: tuple[int, int] | None = None
+        self._newest: Report | None = None
         self._rotor = RotorSpeed(settings)
         self._watchdog: int | None = None  # communication timeout that the host has set; None if it was before the log
         self._stopping = False  # whether the last command in the log is a stop
@@ -168,8 +170,7 @@ class ConverterPipeline:
     def _refused(self, answer: wire.Answer) -> Items:
         self.losses["refused"] += 1
         request = answer.request
-        what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
-        text = f"it refuses {what} register {request.register}: {answer.refusal}"
+        text = f"it refuses {request.words}: {answer.refusal}"
         of = request.function, request.register
         before, self._refusals[of] = self._refusals.get(of), text
         reply = DeviceEvent("reply", self._device, text, {})
@@ -209,9 +210,9 @@ class ConverterPipeline:
         fault = 0 if r.fault_code is None or now != states.FAULT else words[r.fault_code]
         rpm = self._settings.speed_rpm * states.reported_counts(r, status, words[r.speed])
         rpm = self._rotor.reported(now, rpm, host_ns, stopping=self._stopping)
-        report = Report(status, fault, rpm)
+        report = Report(status, now, fault, rpm)
         words.clear()
-        out = self._changes(now, status, fault)
+        out = self._changes(report)
         self.reports.append(report)
         columns = {
             "speed_rpm": np.array([report.rpm]),
@@ -230,11 +231,12 @@ class ConverterPipeline:
             return self._settings.reference_rpm * signed
         return -self._settings.reference_rpm * self._reference if self._control == r.run_reverse else 0.0
 
-    def _changes(self, now: str, status: int, fault: int) -> Items:
-        before, self._status = self._status, (status, fault)
+    def _changes(self, report: Report) -> Items:
+        before, self._newest = self._newest, report
+        status, fault = report.status, report.fault
         out: Items = []
-        if before is None or states.state(self._registers, before[0]) != now:
-            out.append(DeviceEvent("drive", self._device, now, {"statusword": status}))
-        if fault != (0 if before is None else before[1]):
+        if before is None or before.state != report.state:
+            out.append(DeviceEvent("drive", self._device, report.state, {"statusword": status}))
+        if fault != (0 if before is None else before.fault):
             out.append(DeviceEvent("emergency", self._device, states.fault_text(fault), {"error_code": fault}))
         return out

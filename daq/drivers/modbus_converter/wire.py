@@ -1,38 +1,21 @@
 """Requests to a converter and its answers: Modbus RTU frames, a pure codec without line and clock.
 
-pymodbus builds and parses the frames. An answer to a read contains no register number: it can only be interpreted with
-its request. Facts and their sources: docs/protocols/modbus_converter.md.
+An answer to a read contains no register number: it can only be interpreted with its request. Facts and their sources:
+docs/protocols/modbus_converter.md.
 """
 
 from __future__ import annotations
 
-import logging
+import struct
 from dataclasses import dataclass
-
-from pymodbus.exceptions import ModbusException
-from pymodbus.framer.rtu import FramerRTU
-from pymodbus.pdu import DecodePDU, ModbusPDU
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersRequest,
-    ReadInputRegistersRequest,
-    WriteMultipleRegistersRequest,
-    WriteSingleRegisterRequest,
-)
-
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # damage is counted by the pipeline
+from functools import reduce
 
 READS, WRITE_ONE, WRITE_SOME = (3, 4), 6, 16
 LONGEST_FRAME_BYTES = 256
+_MOST_READ = 125  # registers: their answer has the longest frame
 _REFUSED = 0x80
-_REFUSAL_BYTES, _CRC_BYTES = 5, 2
+_SHORTEST_REQUEST_BYTES, _REFUSAL_BYTES, _CRC_BYTES = 8, 5, 2
 
-_SENT = FramerRTU(DecodePDU(is_server=True))
-_REQUESTS: dict[int, type[ModbusPDU]] = {
-    3: ReadHoldingRegistersRequest,
-    4: ReadInputRegistersRequest,
-    6: WriteSingleRegisterRequest,
-    16: WriteMultipleRegistersRequest,
-}
 REFUSALS = {
     1: "the function code is not supported, or not possible in its present state",
     2: "no such register, or not this many registers from it on",
@@ -73,6 +56,12 @@ class Request:
             return self.address, self.function, self.count
         return self.address, self.function, self.register, *(self.values if self.function == WRITE_ONE else ())
 
+    @property
+    def words(self) -> str:
+        """What is requested, for a message."""
+        what = "reading" if self.function in READS else f"writing {', '.join(map(str, self.values))} to"
+        return f"{what} register {self.register}"
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -96,50 +85,63 @@ class Answer:
         return f"exception {self.exception}: {REFUSALS.get(self.exception, 'not in the standard, see its manual')}"
 
 
+def with_crc(body: bytes) -> bytes:
+    """Return a frame: a body and its CRC-16 (polynomial A001h reflected, start FFFFh, low byte first)."""
+    value = reduce(lambda crc, byte: crc >> 8 ^ _CRC_OF_BYTE[(crc ^ byte) & 0xFF], body, 0xFFFF)
+    return body + value.to_bytes(_CRC_BYTES, "little")
+
+
+_CRC_OF_BYTE = [reduce(lambda crc, _: crc >> 1 ^ (0xA001 if crc & 1 else 0), range(8), byte) for byte in range(256)]
+
+
 def encode(request: Request) -> bytes:
     """Encode a request.
 
     Raises:
-        ValueError: an address or a number of registers is out of range.
+        struct.error: an address, a number of registers or a value is out of range.
     """
-    pdu = _REQUESTS[request.function](
-        dev_id=request.address,
-        address=request.register,
-        count=request.count,
-        registers=list(request.values) if request.values else None,
-    )
-    return _SENT.buildFrame(pdu)
+    head = struct.pack(">BBH", request.address, request.function, request.register)
+    if request.function in READS:
+        return with_crc(head + struct.pack(">H", request.count))
+    values = struct.pack(f">{request.count}H", *request.values)
+    if request.function == WRITE_ONE:
+        return with_crc(head + values)
+    return with_crc(head + struct.pack(">HB", request.count, len(values)) + values)
 
 
 def parse_request(frame: bytes) -> Request | None:
     """Parse a frame of the host; None if it is not a request of the kinds in `Request`."""
-    if len(frame) < _REFUSAL_BYTES or frame[1] not in _REQUESTS:
+    is_whole = _SHORTEST_REQUEST_BYTES <= len(frame) <= LONGEST_FRAME_BYTES
+    if not is_whole or frame[1] not in (*READS, WRITE_ONE, WRITE_SOME):
         return None
-    try:
-        _, pdu = _SENT.handleFrame(frame, 0, 0)
-    except ModbusException:  # usual: another program's bytes
-        return None
-    if pdu is None:
-        return None
-    values = () if pdu.function_code in READS else tuple(pdu.registers)
-    count = len(values) or pdu.count
-    request = Request(pdu.dev_id, pdu.function_code, pdu.address, count, values)
+    address, function, register, word = struct.unpack_from(">BBHH", frame)
+    if function in READS:
+        request = Request(address, function, register, min(word, _MOST_READ))
+    else:
+        data = frame[4:6] if function == WRITE_ONE else frame[7:-_CRC_BYTES]
+        values = struct.unpack_from(f">{len(data) // 2}H", data)
+        request = Request(address, function, register, len(values), values)
     return request if encode(request) == frame else None
+
+
+def encode_answer(answer: Answer) -> bytes:
+    """Encode a converter's answer."""
+    if answer.exception:
+        return with_crc(bytes([answer.request.address, answer.request.function | _REFUSED, answer.exception]))
+    return with_crc(_expected(answer.request)[0] + struct.pack(f">{len(answer.registers)}H", *answer.registers))
 
 
 def _expected(request: Request) -> tuple[bytes, int]:
     """Return the beginning of the answer that a request expects, and the length of the answer in bytes."""
-    head = bytes([request.address, request.function])
     if request.function in READS:
-        size = 2 * request.count
-        return head + bytes([size]), len(head) + 1 + size + _CRC_BYTES
-    body = request.values[0] if request.function == WRITE_ONE else request.count
-    whole = head + request.register.to_bytes(2, "big") + body.to_bytes(2, "big")
-    return whole, len(whole) + _CRC_BYTES
+        head, size = bytes([request.address, request.function, 2 * request.count]), 2 * request.count
+    else:
+        head, size = encode(request)[:6], 0
+    return head, len(head) + size + _CRC_BYTES
 
 
 def _intact(frame: bytes) -> bool:
-    return FramerRTU.check_CRC(frame[:-_CRC_BYTES], int.from_bytes(frame[-_CRC_BYTES:], "big"))
+    return with_crc(frame[:-_CRC_BYTES]) == frame
 
 
 def find_answer(data: bytes, request: Request) -> tuple[int, int, Answer] | None:
@@ -153,8 +155,7 @@ def find_answer(data: bytes, request: Request) -> tuple[int, int, Answer] | None
     for at in range(len(data) - _REFUSAL_BYTES + 1):
         if data.startswith(head, at) and at + size <= len(data) and _intact(data[at : at + size]):
             body = data[at + len(head) : at + size - _CRC_BYTES]
-            values = tuple(int.from_bytes(body[k : k + 2], "big") for k in range(0, len(body), 2))
-            return at, at + size, Answer(request, values)
+            return at, at + size, Answer(request, struct.unpack(f">{len(body) // 2}H", body))
         end = at + _REFUSAL_BYTES
         if data.startswith(refused, at) and data[at + 2] and _intact(data[at:end]):
             return at, end, Answer(request, exception=data[at + 2])

@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ import pytest
 from serial.tools import list_ports
 
 from daq.discovery import network, opening, ports
-from daq.discovery.network import announced_devices
+from daq.discovery.network import Announced, announced_devices
 from daq.discovery.opening import PortNotOpened, has_line_rate, open_port, programs_with
 from daq.discovery.ports import UsbIdentity, can_channels, serial_ports, usb_can_adapters, usb_facts
 from daq.discovery.tables import Table, device_tables
@@ -126,6 +127,13 @@ def test_other_systems_list_usb_devices_by_a_library_if_there_is_one(monkeypatch
 # --- opening ---------------------------------------------------------------------------------------------------------
 
 
+def refused(port: str, words: str) -> str:
+    """Return why a port is not opened; the message must contain the words."""
+    with pytest.raises(PortNotOpened, match=words) as raised:
+        open_port(DeviceLine(port, 115_200))
+    return raised.value.state
+
+
 @pytest.mark.parametrize(
     ("name", "has_rate"),
     [
@@ -150,18 +158,14 @@ def test_a_port_that_another_program_has_locked_is_in_use() -> None:
     master, slave = os.openpty()
     try:
         fcntl.flock(slave, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        with pytest.raises(PortNotOpened, match="another program") as raised:
-            open_port(DeviceLine(os.ttyname(slave), 115_200))
-        assert raised.value.state == "in use"
+        assert refused(os.ttyname(slave), "another program") == "in use"
     finally:
         os.close(master)
         os.close(slave)
 
 
 def test_a_port_that_does_not_exist_is_not_opened() -> None:
-    with pytest.raises(PortNotOpened, match="cannot be opened") as raised:
-        open_port(DeviceLine("/dev/ttyUSB987", 115_200))
-    assert raised.value.state == "not opened"
+    assert refused("/dev/ttyUSB987", "cannot be opened") == "not opened"
 
 
 def denied(line: DeviceLine) -> Any:
@@ -174,14 +178,10 @@ def test_a_missing_permission_names_the_group(monkeypatch: pytest.MonkeyPatch, t
     port.touch()
     monkeypatch.setattr(opening, "open_link", lambda port, *line: denied(DeviceLine(port, 1)))
     monkeypatch.setattr(opening.grp, "getgrgid", lambda number: SimpleNamespace(gr_name="uucp"))
-    with pytest.raises(PortNotOpened, match=r"group uucp \(sudo usermod -aG uucp \$USER\)") as raised:
-        open_port(DeviceLine(str(port), 115_200))
-    assert raised.value.state == "no permission"
-    with pytest.raises(PortNotOpened, match="dialout"):
-        open_port(DeviceLine("/dev/missing", 115_200))
+    assert refused(str(port), r"group uucp \(sudo usermod -aG uucp \$USER\)") == "no permission"
+    assert refused("/dev/missing", "dialout") == "no permission"
     monkeypatch.setattr(opening.grp, "getgrgid", lambda number: SimpleNamespace(gr_name="root"))
-    with pytest.raises(PortNotOpened, match="udev rule"):
-        open_port(DeviceLine(str(port), 115_200))
+    assert refused(str(port), "udev rule") == "no permission"
 
 
 def test_windows_denies_access_to_an_open_port(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,13 +190,9 @@ def test_windows_denies_access_to_an_open_port(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(opening, "open_link", open_link)
     monkeypatch.setattr(opening.sys, "platform", "win32")
-    with pytest.raises(PortNotOpened) as raised:
-        open_port(DeviceLine("COM3", 115_200))
-    assert raised.value.state == "in use"
+    assert refused("COM3", "another program") == "in use"
     monkeypatch.setattr(opening.sys, "platform", "darwin")
-    with pytest.raises(PortNotOpened, match="account") as raised:
-        open_port(DeviceLine("/dev/cu.usbserial", 115_200))
-    assert raised.value.state == "no permission"
+    assert refused("/dev/cu.usbserial", "account") == "no permission"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
@@ -212,9 +208,7 @@ def test_a_program_that_does_not_lock_its_port_is_found(monkeypatch: pytest.Monk
     (tmp_path / "proc" / "814").mkdir()
     monkeypatch.setattr(opening, "_PROCESSES", tmp_path / "proc")
     assert list(programs_with(str(link))) == ["minicom, process 812"]
-    with pytest.raises(PortNotOpened, match="minicom, process 812") as raised:
-        open_port(DeviceLine(str(link), 115_200))
-    assert raised.value.state == "in use"
+    assert refused(str(link), "minicom, process 812") == "in use"
     assert list(programs_with("socket://h:1")) == []
 
 
@@ -332,42 +326,6 @@ def test_an_answer_to_the_search_for_a_labjack(at: int, data: bytes, model: str 
     assert all(found_labjack(answer[:cut], "10.0.0.9") is None for cut in range(len(answer)))
 
 
-def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    labjack = driver("labjack")
-    assert isinstance(labjack, AnnouncesItself)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
-        device.bind(("127.0.0.1", 0))
-        device.settimeout(10)
-        monkeypatch.setattr(network, "_BROADCAST", "127.0.0.1")
-        clock = PromptClock()
-        received: list[bytes] = []
-
-        def read_and_end(data: bytes, host: str) -> NetworkDevice | None:
-            clock.now += 10.0  # the search ends at once: an answer has been taken
-            return found_labjack(data, host)
-
-        own = replace(labjack.announcement, read=read_and_end, request_port=device.getsockname()[1])
-        monkeypatch.setattr(identity, "ANNOUNCEMENT", own)
-
-        def answer() -> None:
-            data, host = device.recvfrom(100)
-            received.append(data)
-            device.sendto(LABJACK_ANSWER, host)
-
-        answering = threading.Thread(target=answer)
-        answering.start()
-        found, notes = announced_devices([labjack], clock)
-        answering.join()
-    assert received == [LABJACK_REQUEST], "at most 64 bytes: the device's limit by UDP"
-    assert notes == []
-    (one,) = found
-    assert one.device.port == "socket://127.0.0.1:502"
-    assert one.device.found.identity == {"model": "T7", "firmware": 1.0292, "serial": 470000089}
-    ((name, text),) = device_tables([Table(one.driver, one.device.port, one.device.found)])
-    assert name == "labjack"
-    assert "serial = 470000089" in text
-
-
 @dataclass(frozen=True)
 class Announcing:
     """A driver's part that this module uses."""
@@ -423,8 +381,18 @@ def test_a_device_that_announces_itself_is_found_once() -> None:
     ]
 
 
-def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = PromptClock()
+def asked(
+    made: Callable[[Callable[[bytes, str], NetworkDevice | None], int], Any],
+    read: Callable[[bytes, str], NetworkDevice | None],
+    answer: bytes,
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[list[Announced], bytes]:
+    """Search with a driver that reads announcements and sends its request to a UDP port.
+
+    Returns:
+        The devices found, and the request, which a device has answered.
+    """
+    clock, requests = PromptClock(), list[bytes]()
 
     def read_and_end(data: bytes, host: str) -> NetworkDevice | None:
         clock.now += 10.0  # the search ends at once: an answer has been taken
@@ -434,18 +402,45 @@ def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyP
         device.bind(("127.0.0.1", 0))
         device.settimeout(10)
         monkeypatch.setattr(network, "_BROADCAST", "127.0.0.1")
-        own: Any = Announcing("a", Announcement(0, read_and_end, b"who?", device.getsockname()[1], wait_s=5.0))
+        own = made(read_and_end, device.getsockname()[1])
 
-        def answer() -> None:
+        def reply() -> None:
             data, host = device.recvfrom(100)
-            assert data == b"who?"
-            device.sendto(b"I am eight", host)
+            requests.append(data)
+            device.sendto(answer, host)
 
-        answering = threading.Thread(target=answer)
+        answering = threading.Thread(target=reply)
         answering.start()
-        found, _ = announced_devices([own], clock)
+        found, notes = announced_devices([own], clock)
         answering.join()
-    assert [each.device.found.identity for each in found] == [{"name": "eight"}]
+    assert notes == []
+    return found, requests[0]
+
+
+def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Any:
+        return Announcing("a", Announcement(0, read, b"who?", port, wait_s=5.0))
+
+    (one,), request = asked(made, read, b"I am eight", monkeypatch)
+    assert (request, one.device.found.identity) == (b"who?", {"name": "eight"})
+
+
+def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    labjack = driver("labjack")
+    assert isinstance(labjack, AnnouncesItself)
+    announcement = labjack.announcement
+
+    def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Driver:
+        monkeypatch.setattr(identity, "ANNOUNCEMENT", replace(announcement, read=read, request_port=port))
+        return labjack
+
+    (one,), request = asked(made, found_labjack, LABJACK_ANSWER, monkeypatch)
+    assert request == LABJACK_REQUEST, "at most 64 bytes: the device's limit by UDP"
+    assert one.device.port == "socket://127.0.0.1:502"
+    assert one.device.found.identity == {"model": "T7", "firmware": 1.0292, "serial": 470000089}
+    ((name, text),) = device_tables([Table(one.driver, one.device.port, one.device.found)])
+    assert name == "labjack"
+    assert "serial = 470000089" in text
 
 
 def test_a_port_that_cannot_be_used_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import pytest
@@ -88,11 +89,17 @@ class Bench(DriverBench):
         return {kind: count for kind, count in self.pipeline.losses.items() if count}
 
 
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    made = Bench()
+@contextmanager
+def opened(driver: ModbusConverterDriver = DRIVER) -> Iterator[Bench]:
+    made = Bench(driver)
     with made.running():
         made.begin()
+        yield made
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    with opened() as made:
         made.time.pass_time(0.3)
         yield made
 
@@ -122,9 +129,7 @@ def test_a_converter_without_a_reverse_command_is_not_turned_backwards() -> None
     class OneWay(ModbusConverterDriver):
         example: ClassVar = {"registers": {"run_reverse": None}}
 
-    bench = Bench(OneWay())
-    with bench.running():
-        bench.begin()
+    with opened(OneWay()) as bench:
         bench.drive.enable()
         with pytest.raises(DeviceError, match="does not turn backwards"):
             bench.drive.set_speed(-100)
@@ -134,9 +139,7 @@ def test_the_slip_of_the_motor_is_a_setting() -> None:
     """The converter reports the field: without the setting its speed is above the rotor's by the slip."""
     errors: list[float] = []
     for driver in (DRIVER, _INVT()):
-        bench = Bench(driver)
-        with bench.running():
-            bench.begin()
+        with opened(driver) as bench:
             bench.turn(1000)
             bench.time.pass_time(2.0)
             errors.append(bench.drive.actual_rpm - bench.rpm)
@@ -178,9 +181,7 @@ def test_a_quick_stop_replaces_commands_that_wait(bench: Bench) -> None:
 
 
 def test_without_a_command_of_its_own_a_quick_stop_is_a_steep_ramp() -> None:
-    bench = Bench(_INVT())
-    with bench.running():
-        bench.begin()
+    with opened(_INVT()) as bench:
         bench.turn(400)
         bench.drive.quick_stop()
         bench.time.pass_time(0.8)
@@ -321,7 +322,7 @@ def test_an_output_that_is_off_is_not_switched_on_while_the_rotor_turns(bench: B
 def test_a_refused_command_is_an_error_with_its_reason(bench: Bench) -> None:
     bench.turn()
     bench.converter.fail("refuses", 7)
-    with pytest.raises(DeviceError, match="refuses 1000 in register 8193: exception 7: it does not execute"):
+    with pytest.raises(DeviceError, match="refuses writing 1000 to register 8193: exception 7: it does not execute"):
         bench.drive.set_speed(300)
     assert bench.lost == {"refused": 2}
 
@@ -381,7 +382,7 @@ def test_a_converter_with_other_registers_cannot_be_opened_and_its_refusal_is_th
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench = Bench()
-    monkeypatch.setattr(bench.converter._server, "_read", lambda function, *block: bytes([0x80 | function, 2]))
+    monkeypatch.setattr(bench.converter._server, "_answer", lambda request: wire.Answer(request, exception=2))
     reason = 'refuses reading register 8448: exception 2: no such register, .* Is the register table "generic" right'
     with bench.running(), pytest.raises(DeviceError, match=reason):
         bench.begin()
@@ -494,9 +495,7 @@ def test_a_converter_that_does_not_obey_a_stop_is_named(bench: Bench) -> None:
 
 
 def test_a_timeout_that_cannot_be_ended_stays_and_its_fault_is_reset() -> None:
-    bench = Bench(_Altivar())
-    with bench.running():
-        bench.begin()
+    with opened(_Altivar()) as bench:
         bench.turn()
         assert bench.drive.stop() is True
         assert bench.converter.watchdog_ms == 1000
@@ -574,8 +573,5 @@ def test_without_a_code_of_its_fault_the_time_out_is_not_measured() -> None:
     class NoCode(ModbusConverterDriver):
         example: ClassVar = {"registers": {"watchdog_fault": None}}
 
-    bench = Bench(NoCode())
-    with bench.running():
-        bench.begin()
-        with pytest.raises(DeviceError, match="no code of its fault"):
-            bench.drive.measure_time_out()
+    with opened(NoCode()) as bench, pytest.raises(DeviceError, match="no code of its fault"):
+        bench.drive.measure_time_out()

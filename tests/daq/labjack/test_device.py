@@ -1,9 +1,10 @@
-"""LabJack: messages, volts, index marks, everything that the device reports as lost, its opening, and a session."""
+"""LabJack: messages, volts, edges, settings, its opening, what it reports as lost, and sessions."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -21,56 +22,18 @@ from daq.drivers.labjack import wire
 from daq.drivers.labjack.driver import DRIVER, LabJackDriver
 from daq.drivers.labjack.far_end import SimulatedLabJack
 from daq.drivers.labjack.marks import EdgeFinder
-from daq.drivers.labjack.settings import LabJack
-from daq.drivers.labjack.stream import LabJackPipeline
 from daq.drivers.labjack.volts import nominal, read_constants
 from daq.errors import DeviceError, LogError
-from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_configs.roles import DisplacementSensor, OtherQuantity, Roles, RotorPhase
-from rig_testing.bench import DriverBench, Items
+from rig_testing.bench import DriverBench
 from tests.daq.kit_cases import LONG
+from tests.daq.labjack.reads import LASERS, START, Reads, batches, events, numbers, settings
 from tests.effort import thorough
-
-S = 1_000_000_000
-START = 1_700_000_000 * S
-LASERS = {"east": {"axis": "x", "input": "AIN0"}, "north": {"axis": "y", "input": "AIN1"}}
-
-
-def settings(**more: Any) -> LabJack:
-    return LabJack.model_validate({"driver": "labjack", "port": "socket://x:502", "lasers": LASERS, **more})
-
-
-def pipeline(identity: Mapping[str, Any] | None = None, **more: Any) -> LabJackPipeline:
-    own = settings(**more)
-    made = DRIVER.pipeline("lab", own, identity or {})
-    assert isinstance(made, LabJackPipeline)
-    return made
-
-
-def answer(
-    number: int, samples: list[int], backlog: int = 0, status: int = 0, info: int = 0, padding: int = 0
-) -> bytes:
-    """The answer of a device to a stream read, from the facts of its layout."""
-    body = struct.pack(f">4H{len(samples)}H", len(samples), backlog, status, info, *samples) + bytes(padding)
-    return struct.pack(">HHHBB", number, 0, 2 + len(body), 1, 0x4C) + body
-
-
-def events(items: Items, *kinds: str) -> list[DeviceEvent]:
-    return [item for item in items if isinstance(item, DeviceEvent) and (not kinds or item.kind in kinds)]
-
-
-def batches(items: Items, topic: str) -> list[Batch]:
-    return [item for item in items if isinstance(item, Batch) and item.channel.topic == topic]
-
-
-def numbers(items: Items, topic: str = "laser/x") -> list[int]:
-    return [int(n) for batch in batches(items, topic) for n in batch.sequence]
-
 
 # --- messages ---------------------------------------------------------------------------------------------------------
 
@@ -101,10 +64,10 @@ def test_an_answer_has_its_samples_behind_its_state() -> None:
 def test_an_answer_shorter_than_its_samples_is_damaged(body: bytes) -> None:
     assert wire.parse_stream(body) is None
     data = struct.pack(">HHHBB", 0x8000, 0, 2 + len(body), 1, 0x4C) + body
-    made = pipeline()
-    (event,) = events(made.feed(RX, data, START))
+    made = Reads()
+    (event,) = events(made.feed(data))
     assert event.kind == "damage"
-    assert made.losses["bytes"] == len(body)
+    assert made.pipeline.losses["bytes"] == len(body)
 
 
 @given(
@@ -123,13 +86,13 @@ def test_any_split_gives_the_same_messages(parts: list[tuple[int, int, bytes]], 
 
 @given(st.lists(st.binary(max_size=300), max_size=8))
 def test_hostile_bytes_raise_nothing_and_are_all_accounted_for(reads: list[bytes]) -> None:
-    decoder, made = wire.MessageDecoder(), pipeline(tacho={"input": "AIN2"})
+    decoder, made = wire.MessageDecoder(), Reads(tacho={"input": "AIN2"})
     total = sum(map(len, reads))
     used = 0
     for data in reads:
         found = decoder.feed(data)
         used += found.skipped_bytes + sum(8 + len(message.body) for message in found.messages)
-        made.feed(RX, data, START)
+        made.feed(data)
     assert total - used < 6 + 512
 
 
@@ -157,20 +120,6 @@ def test_constants_of_the_flash_are_those_of_range_or_input() -> None:
     assert scale.volts(np.array([0, 1000], np.uint16)) == pytest.approx([-10.6, -10.27], abs=1e-4)
     assert read_constants("T7", "AIN0", 10.0, b"\xff" * 164) is None
     assert read_constants("T4", "AIN0", 10.0, bytes(76)) is None
-
-
-def test_displacement_is_the_share_of_the_output_in_the_range() -> None:
-    lasers = {"east": {"axis": "x", "input": "AIN0", "near_V": 9.0, "far_V": 1.0, "range_m": 0.02, "lever_ratio": 2.0}}
-    made = pipeline(lasers=lasers)
-    volts = [9.0, 1.0, 5.0, 3.0, 0.9, 9.1]
-    codes = [round(33523 + each / 3.1580578e-4) for each in volts]
-    items = made.feed(RX, answer(0x8000, codes), START)
-    (batch,) = batches(items, "laser/x")
-    found = batch.columns["displacement_m"]
-    assert found[:4] == pytest.approx([-0.005, 0.005, 0.0, 0.0025], abs=1e-6)
-    assert np.isnan(found[4:]).all()
-    assert made.losses["invalid"] == 2
-    assert batch.columns["code"].tolist() == codes
 
 
 # --- index marks ------------------------------------------------------------------------------------------------------
@@ -206,124 +155,14 @@ def test_the_first_edge_needs_a_sample_below() -> None:
     assert not len(finder.feed(np.array([5.0])))
 
 
-def volts_codes(volts: list[float]) -> list[int]:
-    return [round(33523 + each / 3.1580578e-4) for each in volts]
-
-
-def test_marks_are_numbered_and_those_lost_with_scans_are_counted() -> None:
-    """A pulse every 20 scans; an overflow skips 50 scans, and with them two pulses."""
-    made = pipeline(lasers={}, tacho={"input": "AIN2"}, scan_rate_Hz=1000.0)
-    pulse = [0.0] * 15 + [5.0] * 5
-    scans = volts_codes(pulse * 8)
-    items = made.feed(RX, answer(0x8000, scans[:60]), START)
-    items += made.feed(RX, answer(0x8001, [0xFFFF, *scans[110:]], status=2941, info=50), START + 110_000_000)
-    marks = batches(items, "tacho")
-    assert [int(n) for batch in marks for n in batch.columns["revolutions"]] == [0, 1, 2, 5, 6, 7]
-    own_us = [int(us) for batch in marks for us in batch.columns["node_time_us"]]
-    assert [own - 20_000 * turn for own, turn in zip(own_us, (0, 1, 2, 5, 6, 7), strict=True)] == [14_500] * 6
-
-
-def test_a_pulse_that_bounces_is_one_mark() -> None:
-    made = pipeline(lasers={}, tacho={"input": "AIN2"}, scan_rate_Hz=1000.0)
-    pulse = [0.0] * 90 + [5.0, 0.0, 0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    reads = [(answer(0x8000 + n, volts_codes(pulse)), START + n * 100_000_000) for n in range(6)]
-    marks = [batch for data, host_ns in reads for batch in batches(made.feed(RX, data, host_ns), "tacho")]
-    turns = [int(n) for batch in marks for n in batch.columns["revolutions"]]
-    assert made.losses["doubled_marks"] == 5
-    assert turns == [0, 1, 2, 3, 4, 5, 6], "nothing shows the first bounce"
-
-
 @pytest.mark.parametrize(("edge", "place"), [("rising", 14_500), ("falling", 19_500)])
 def test_a_digital_line_marks_the_middle_between_two_scans(edge: str, place: int) -> None:
-    made = pipeline(lasers={}, tacho={"input": "EIO3", "edge": edge}, scan_rate_Hz=1000.0)
+    made = Reads(lasers={}, tacho={"input": "EIO3", "edge": edge}, scan_rate_Hz=1000.0)
     states = ([0xFE00 | 0x01] * 15 + [0xFE00 | 0x09] * 5) * 3
-    (batch,) = batches(made.feed(RX, answer(0x8000, states), START), "tacho")
+    (batch,) = batches(made.answer(states), "tacho")
     first = batch.columns["node_time_us"].astype(int) - 20_000 * batch.columns["revolutions"].astype(int)
     assert first.tolist() == [place] * len(first)
     assert len(first) >= 2
-
-
-# --- what the device loses --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("counts", "lost"), [(True, 7), (False, 8)])
-def test_skipped_scans_advance_the_count_at_the_separator(counts: bool, lost: int) -> None:
-    made = pipeline(separator_counts=counts)
-    good = [40000, 41000]
-    items = made.feed(RX, answer(0x8000, good * 10), START)
-    items += made.feed(
-        RX, answer(0x8001, good * 3 + [0xFFFF, 0xFFFF] + good * 4, status=2941, info=7), START + 6_000_000
-    )
-    assert numbers(items) == [*range(13), *range(13 + lost, 17 + lost)]
-    assert made.losses["samples"] == lost
-    (gap,) = events(items)
-    assert (gap.kind, gap.facts["samples"]) == ("gap", lost)
-    steps = np.diff(np.concatenate([b.columns["device_ticks"] for b in batches(items, "laser/x")]).astype(int))
-    assert sorted({*steps.tolist()}) == [25, 25 * (lost + 1)]
-
-
-def test_more_skipped_scans_than_the_device_counts_are_estimated() -> None:
-    made = pipeline()
-    made.feed(RX, answer(0x8000, [40000, 41000] * 10), START)
-    items = made.feed(RX, answer(0x8001, [0xFFFF, 0xFFFF, 40000, 41000], status=2943, info=65535), START + 20 * S)
-    (gap,) = events(items)
-    assert gap.facts["uncertain_samples"] == made.losses["samples"] == pytest.approx(80_000, abs=5)
-    assert int(batches(items, "laser/x")[-1].time_ns[-1]) == START + 20 * S
-
-
-def test_a_filling_buffer_is_reported_before_anything_is_lost_and_once() -> None:
-    made = pipeline()
-    kinds: list[str] = []
-    for number, (backlog, status) in enumerate(
-        [(0, 0), (20_000, 0), (24_000, 0), (32_764, 2940), (9_000, 2940), (0, 0)]
-    ):
-        items = made.feed(RX, answer(0x8000 + number, [40000, 41000], backlog, status), START + number * 250_000)
-        kinds += [event.kind for event in events(items)]
-    assert kinds == ["backlog", "backlog"]
-    assert made.losses["samples"] == 0
-    assert events(made.feed(RX, answer(0x8006, [40000, 41000], 20_000), START + 2_000_000), "backlog")
-
-
-@pytest.mark.parametrize(("status", "words"), [(2942, "scan_rate_Hz"), (2944, "ended"), (9999, "ended")])
-def test_a_stream_that_stops_is_a_fault(status: int, words: str) -> None:
-    made = pipeline()
-    (fault,) = events(made.feed(RX, answer(0x8000, [40000, 41000], status=status), START))
-    assert fault.kind == "fault"
-    assert words in fault.text
-    assert str(status) in fault.text
-
-
-def test_missing_answers_are_estimated_and_the_clock_begins_again() -> None:
-    made = pipeline()
-    made.feed(RX, answer(0x8000, [40000, 41000] * 40), START)
-    items = made.feed(RX, answer(0x8003, [40000, 41000] * 40), START + 40_000_000)
-    (gap,) = events(items)
-    assert gap.facts["uncertain_samples"] == made.losses["samples"] == 120
-    assert numbers(items)[0] == 160
-    assert int(batches(items, "laser/x")[-1].time_ns[-1]) == START + 40_000_000
-
-
-def test_a_late_answer_is_no_loss() -> None:
-    """The network delays an answer by a second; the scans since then follow."""
-    made = pipeline()
-    made.feed(RX, answer(0x8000, [40000, 41000] * 40), START)
-    items = made.feed(RX, answer(0x8001, [40000, 41000] * 40), START + S)
-    items += made.feed(RX, answer(0x8002, [40000, 41000] * 118, 15_000), START + S)
-    assert not events(items)
-    assert numbers(items) == [*range(40, 198)]
-    assert not any(made.losses.values())
-
-
-def test_an_answer_may_end_within_a_scan() -> None:
-    made = pipeline()
-    items = made.feed(RX, answer(0x8000, [40000, 41000, 40001], 2, padding=20), START)
-    items += made.feed(RX, answer(0x8001, [41001]), START + 250_000)
-    codes = [batch.columns["code"].tolist() for topic in ("laser/x", "laser/y") for batch in batches(items, topic)]
-    assert codes == [[40000], [40001], [41000], [41001]]
-
-
-def test_what_the_host_writes_gives_no_samples() -> None:
-    assert pipeline().feed(TX, answer(0x8000, [40000, 41000]), START) == []
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -376,6 +215,14 @@ def bench_of(example: Mapping[str, Any] | None = None) -> tuple[DriverBench, Sim
     return bench, bench.far
 
 
+@contextmanager
+def running(example: Mapping[str, Any] | None = None) -> Iterator[tuple[DriverBench, SimulatedLabJack]]:
+    bench, far = bench_of(example)
+    with bench.running():
+        bench.begin()
+        yield bench, far
+
+
 def _driver(table: dict[str, Any]) -> LabJackDriver:
     class Other(LabJackDriver):
         example: ClassVar[Mapping[str, Any]] = table
@@ -410,9 +257,7 @@ def test_contract(case: rig_testing.ContractCase) -> None:
 
 
 def test_a_stream_that_runs_at_the_opening_is_ended_first() -> None:
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         assert far.facts()["streaming"]
         assert bench.poller is not None
         bench.poller.stop()
@@ -450,19 +295,15 @@ def test_what_an_earlier_program_left_is_undone(lacks: tuple[int, ...]) -> None:
 
 
 def test_the_identity_has_what_the_samples_need() -> None:
-    bench, _ = bench_of()
-    with bench.running():
-        bench.begin()
-    identity = bench.identity
-    assert (identity["model"], identity["firmware"], identity["scan_rate_Hz"]) == ("T7", 1.0299, 4000.0)
-    assert identity["AIN0_zero"] == 33530.0
-    assert identity["constants"] == "from its flash"
+    with running() as (bench, _):
+        identity = bench.identity
+        assert (identity["model"], identity["firmware"], identity["scan_rate_Hz"]) == ("T7", 1.0299, 4000.0)
+        assert identity["AIN0_zero"] == 33530.0
+        assert identity["constants"] == "from its flash"
 
 
 def test_another_serial_number_is_refused() -> None:
-    bench, far = bench_of({"lasers": LASERS, "serial": 470_012_345})
-    with bench.running():
-        bench.begin()
+    with running({"lasers": LASERS, "serial": 470_012_345}) as (bench, far):
         assert bench.identity["device_serial"] == 470_012_345
         far.fail("other", 470_099_999)
         with pytest.raises(DeviceError, match=r"470012345.*470099999"):
@@ -525,9 +366,7 @@ def test_a_flash_that_cannot_be_read_gives_nominal_constants() -> None:
 
 
 def test_a_device_without_an_answer_is_an_error_at_its_stop() -> None:
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         far.fail("deaf")
         with pytest.raises(DeviceError, match="no answer"):
             bench.end()
@@ -535,9 +374,7 @@ def test_a_device_without_an_answer_is_an_error_at_its_stop() -> None:
 
 def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
     """The device is not read for two seconds: its buffer of 1.4 s overflows."""
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         bench.time.pass_time(1.0)
         far.fail("deaf", 1)
         bench.time.pass_time(2.0)
@@ -554,9 +391,7 @@ def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
 
 def test_samples_that_wait_are_read_at_once() -> None:
     """The device is not read for a second: 4000 scans wait, which are 68 answers."""
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         bench.time.pass_time(1.0)
         far.fail("deaf", 1)
         bench.time.pass_time(1.0)
@@ -569,9 +404,7 @@ def test_samples_that_wait_are_read_at_once() -> None:
 
 @pytest.mark.parametrize("scans", [1, 50, 5000])
 def test_scans_that_the_device_skips_are_counted_exactly(scans: int) -> None:
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         bench.time.pass_time(0.5)
         far.fail("skips", scans)
         bench.time.pass_time(0.5)
@@ -579,11 +412,31 @@ def test_scans_that_the_device_skips_are_counted_exactly(scans: int) -> None:
     assert sum(b - a - 1 for a, b in pairwise(found)) == bench.pipeline.losses["samples"] >= scans
 
 
+class OneRefusal(SimulatedLabJack):
+    """A device that refuses its first stream read after the opening, but continues its stream."""
+
+    refuses: ClassVar[bool] = True
+
+    def _read(self, address: int, count: int) -> bytes:
+        if address == 4500 and type(self).refuses:
+            type(self).refuses = False
+            return super()._read(1, count)  # no such register
+        return struct.pack(">H", 2501) if address == 55000 else super()._read(address, count)
+
+
+def test_the_host_reads_the_error_of_a_refused_read_and_continues() -> None:
+    with running() as (bench, far):
+        far.__class__ = type("Own", (OneRefusal,), {})
+        bench.time.pass_time(1.0)
+    assert [event.kind for event in events(bench.items) if event.kind != "reply"] == ["refused", "refused"]
+    assert "error 2501" in events(bench.items, "refused")[1].text
+    assert bench.pipeline.losses == {"samples": 0, "bytes": 0, "refused": 1, "invalid": 0}
+    assert numbers(bench.items)[-1] > 3800
+
+
 def test_a_scan_overlap_and_a_power_failure_end_in_a_fault() -> None:
     for fault in ("overlap", "power"):
-        bench, far = bench_of()
-        with bench.running():
-            bench.begin()
+        with running() as (bench, far):
             bench.time.pass_time(0.3)
             if fault == "overlap":
                 far.fail("overlap")
@@ -596,9 +449,7 @@ def test_a_scan_overlap_and_a_power_failure_end_in_a_fault() -> None:
 
 
 def test_blocked_beams_are_no_samples() -> None:
-    bench, far = bench_of()
-    with bench.running():
-        bench.begin()
+    with running() as (bench, far):
         far.fail("blocked")
         bench.time.pass_time(0.5)
     last = batches(bench.items, "laser/x")[-1]
@@ -622,7 +473,7 @@ def test_an_impossible_identity_is_refused(identity: dict[str, Any]) -> None:
         DRIVER.played(settings(), identity)
     if "AIN0_zero" in identity:
         with pytest.raises(DeviceError):
-            pipeline(identity)
+            Reads(identity)
 
 
 def test_marks_have_the_usual_channel() -> None:
@@ -683,3 +534,29 @@ def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Pa
     assert virtual is not None
     assert np.diff(run.mark_time_s[3:]) == pytest.approx(60.0 / 200.0 / (1 - virtual.drive.slip), abs=2e-5)
     assert run.clock_rate_std["phase"] == run.clock_rate_std["x"] != run.clock_rate_std["angles"]
+
+
+def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_path: Path) -> None:
+    """The dialogue ends the stream while the session would poll it. The log continues, with the scans of the outage."""
+    sim = LockstepRig(load_rig(rig_file(tmp_path), settings=OWN))
+    session = Session(load_rig(rig_file(tmp_path), settings=[*OWN, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    with session:
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(1.0)
+        sim.ask("fail", device="lab", what="deaf", value=1, seconds=3.0)
+        end = sim.clock.wall_s() + 8.0
+        while sim.clock.wall_s() < end:
+            session.check()
+            sim.clock.wait(0.05)
+        session.stop_recording({})
+    log = tmp_path / "a.mcap"
+    assert [row.topic for row in check(log) if row.difference] == []
+    with open_log(log) as opened:
+        found = opened["laser/x"]
+        (gap,) = [event for event in opened.events if (event["kind"], event["device"]) == ("gap", "lab")]
+        assert "started again" in gap["text"]
+        steps = np.diff(found.time_ns) * 1e-9
+        assert gap["samples"] == int(np.max(np.diff(found.sequence.astype(np.int64)))) - 1
+        assert gap["samples"] / 4000.0 == pytest.approx(float(np.max(steps)), abs=0.01)
+        assert float(np.max(steps)) > 2.0
+        assert (opened.end_ns - found.time_ns[-1]) * 1e-9 < 0.2
