@@ -100,12 +100,13 @@ def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
 
 
 def _add_setting_tables(app: Any, docname: str, source: list[str]) -> None:
-    """Add the settings of every driver to the page "reference/drivers"."""
-    if docname != "reference/drivers":
+    """Add the settings of every driver, and the table of physical numbers, to their pages of the reference."""
+    if docname not in ("reference/drivers", "reference/rig_configs"):
         return
-    from setting_tables import MARK, all_tables  # imports every driver's settings
+    from setting_tables import MARK, NUMBERS_MARK, all_tables, physical_table  # imports every driver's settings
 
-    source[0] = source[0].replace(MARK, all_tables())
+    made = (MARK, all_tables) if docname == "reference/drivers" else (NUMBERS_MARK, physical_table)
+    source[0] = source[0].replace(made[0], made[1]())
 
 
 def _draw(app: Any, docname: str, source: list[str]) -> None:

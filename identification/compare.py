@@ -16,6 +16,7 @@ from identification.difference import difference
 from identification.errors import NotIdentifiable
 from rig_basics.texts import number_of
 from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.physical_numbers import short
 
 LEVELS = (0.001, 0.01, 0.05)
 _MIN_DIGITS = 12  # digits of the longest value of a file; a file with fewer has rounded values
@@ -209,11 +210,6 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     out = np.empty(len(given))
     out[order] = np.minimum(stepped, 1.0)
     return out
-
-
-def short(name: str) -> str:
-    """Return the name without its unit: k1_N_per_m → k1."""
-    return name.partition("_")[0]
 
 
 def _percent(change: Change) -> str:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from cyclopts import Parameter
 
 from rig_basics.texts import number_of
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import between
 from rig_cli.options import Json, Settings, what_if_words
+from rig_cli.parameters_budget_answer import BudgetAnswer, Selection
 from rig_cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig, overridden
 
@@ -34,59 +33,8 @@ MonteCarloToo = Annotated[
 ]
 _MODEL_TRIALS, _LINEAR_TRIALS = 4_000, 200_000
 _KINDS: tuple[Literal["symmetric", "shortest"], ...] = ("symmetric", "shortest")
-_DIGITS = 1  # significant digits of the standard uncertainty in the verdict
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Quantities of a budget.
-
-    Attributes:
-        parameters: names of the file's parameters.
-        points: points of the rig file.
-        quantities: single quantities of points; empty: all of each point.
-    """
-
-    parameters: tuple[str, ...]
-    points: tuple[str, ...]
-    quantities: frozenset[str] = frozenset()
-
-    def shows(self, quantity: str) -> bool:
-        """Return whether a predicted quantity is requested."""
-        return not self.quantities or quantity in self.quantities
-
-
-@dataclass(frozen=True)
-class BudgetAnswer:
-    """Budgets of parameters and predictions, with the other results."""
-
-    selection: Selection
-    of_parameters: ParameterBudgets
-    predicted: PredictedBudgets | None
-    exact: Mapping[str, Mapping[str, float]]
-    skipped: Mapping[str, str]
-    sampled: Sequence[MonteCarlo] = ()
-    checks: Mapping[str, Mapping[str, LinearCheck]] = field(default_factory=dict[str, "Mapping[str, LinearCheck]"])
-
-    @property
-    def together(self) -> Budgets:
-        """Budgets of everything that is shown, on the same sources."""
-        from uncertainty import Budgets
-
-        parameters = self.of_parameters.budgets
-        names = list(self.selection.parameters)
-        at = [parameters.names.index(name) for name in names]
-        values, units = [parameters.values[at]], [parameters.units[i] for i in at]
-        sources, tables = parameters.sources, [parameters.sensitivities[at]]
-        if self.predicted is not None:
-            found = self.predicted.budgets
-            rows = [i for i, name in enumerate(found.names) if self.selection.shows(name)]
-            extra = np.zeros((len(at), found.sensitivities.shape[1] - parameters.sensitivities.shape[1]))
-            sources, tables = found.sources, [np.concatenate([tables[0], extra], axis=1), found.sensitivities[rows]]
-            values.append(found.values[rows])
-            names += [found.names[i] for i in rows]
-            units += [found.units[i] for i in rows]
-        return Budgets(tuple(names), np.concatenate(values), tuple(units), sources, np.concatenate(tables))
+# Significant digits of the standard uncertainty in the verdict.
+_DIGITS = 1
 
 
 def budget(
@@ -162,7 +110,7 @@ def _selected(names: Sequence[str], identified: IdentifiedParameters, rig: Rig |
         RigFileError: a name is in none of these groups.
     """
     from analysis.budget import quantity_names
-    from identification.compare import short
+    from rig_configs.physical_numbers import short
 
     points = () if rig is None else tuple(rig.points)
     if not names:

@@ -19,7 +19,7 @@ from uncertainty import Budget, Budgets
 from uncertainty.rows import BudgetRow, budget_rows
 
 if TYPE_CHECKING:
-    from rig_cli.parameters_budget import BudgetAnswer
+    from rig_cli.parameters_budget_answer import BudgetAnswer
 
 _LEAST_SHARE = 1e-3  # share of a variance below which a source has no row of its own
 _LEAST_SIGMAS = 0.1  # standard uncertainties below which a change is not shown among the numbers taken as exact

@@ -12,13 +12,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from identification.compare import Change, ParameterComparison, short
+from identification.compare import Change, ParameterComparison
 from identification.history import History
 from identification.joint.limits import ParameterLimit
 from rig_basics.texts import number_of
 from rig_cli.last_sentence import parameters_sentence
 from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
+from rig_configs.physical_numbers import short
 from rig_configs.values_in_use import Origin
 
 _ORIGINS: Mapping[Origin, str] = {

@@ -6,10 +6,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from identification.compare import short
 from identification.plan.experiment import Experiment
 from identification.plan.planning import MOST_RUNS, ExperimentPlan, PlanAnswer
 from rig_cli.words import length, percent, stdout_console
+from rig_configs.physical_numbers import short
 
 
 def print_plan(rig: str, found: ExperimentPlan) -> None:

@@ -11,7 +11,9 @@ from dataclasses import replace
 from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator
+from typing_extensions import override
 
+from rig_configs.physical_numbers import PHYSICAL_NUMBERS
 from rig_configs.roles import (
     USUAL_DIRECTION_STD_DEG,
     USUAL_GAIN_STD,
@@ -24,7 +26,7 @@ from rig_configs.roles import (
     RotorPhase,
     read_role,
 )
-from rig_configs.table import Finite, NotNegative, Positive, RigTable
+from rig_configs.table import Finite, NotNegative, RigTable
 
 
 def _as_text(serial: object) -> object:
@@ -111,11 +113,11 @@ class DisplacementTable(RigTable):
     """
 
     axis: Axis
-    range_m: Positive = 0.025
+    range_m: Annotated[float, PHYSICAL_NUMBERS["range_m"]] = 0.025
     range_std_m: NotNegative = 0.0
-    lever_ratio: Positive = 1.0
+    lever_ratio: Annotated[float, PHYSICAL_NUMBERS["lever_ratio"]] = 1.0
     lever_ratio_std: NotNegative = 0.0
-    gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
+    gain_std: Annotated[float, PHYSICAL_NUMBERS["gain_std"]] = USUAL_GAIN_STD
     gain_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
     offset_std_m: NotNegative = 0.0
@@ -199,8 +201,8 @@ class SampledTable(DisplacementTable):
         clock_tolerance_ppm: standard uncertainty of the rate of the sensor's clock, ppm.
     """
 
-    rate_Hz: Positive
-    clock_tolerance_ppm: Positive = 30.0
+    rate_Hz: Annotated[float, PHYSICAL_NUMBERS["sensor.rate_Hz"]]
+    clock_tolerance_ppm: Annotated[float, PHYSICAL_NUMBERS["clock_tolerance_ppm"]] = 30.0
 
     def sampled(self, device: str, clock: str = "") -> DisplacementSensor:
         """Return the role of the sensor; see DisplacementSensor."""
@@ -230,8 +232,8 @@ class DisplacementSettings(SampledTable, DeviceSettings):
             raise ValueError("this driver records in the channel of its axis only, so its device cannot be a witness")
         return witness
 
+    @override
     def roles(self, device: str) -> tuple[Role, ...]:
-        """Return the roles; see DeviceSettings."""
         return (self.sampled(device),)
 
 
@@ -264,19 +266,19 @@ class RotorNodeSettings(DeviceSettings):
         "calibration_record",
     )
 
-    rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000
+    rate_Hz: Annotated[int, PHYSICAL_NUMBERS["node.rate_Hz"]] = 1000
     counts_per_revolution: Annotated[int, Field(ge=64)] = 4096
     index_angle_deg: Finite = 0.0
     index_angle_std_deg: NotNegative = 0.0
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
-    clock_tolerance_ppm: Positive = 30.0
+    clock_tolerance_ppm: Annotated[float, PHYSICAL_NUMBERS["clock_tolerance_ppm"]] = 30.0
     locks: bool = True
     index_marks: bool = True
     angles: bool = True
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
+    @override
     def roles(self, device: str) -> tuple[Role, ...]:
-        """Return the roles; see DeviceSettings."""
         tolerance = self.clock_tolerance_ppm
         angles = PendulumAngles(
             device=device,
@@ -315,6 +317,6 @@ class StoredDevice(DeviceSettings):
 
     stored_roles: Annotated[tuple[Any, ...], BeforeValidator(_read_roles)] = ()
 
+    @override
     def roles(self, device: str) -> tuple[Role, ...]:
-        """Return the roles; see DeviceSettings."""
         return self.stored_roles

@@ -6,7 +6,6 @@ own uncertainty, or an instrument's, which affects everything that was measured 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,30 +15,19 @@ from pydantic import Field
 
 from dynamics.equations.parameters import RotorParameters
 from rig_configs.error_label import ErrorLabel
+from rig_configs.physical_numbers import PHYSICAL_KEYS, PHYSICAL_NUMBERS
 from rig_configs.table import Positive, RigTable
 
 Kind = Literal["A", "B"]
 Distribution = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
 
 ZERO_A, ZERO_B, INDEX = "encoders.a.zero_rad", "encoders.b.zero_rad", "phase.index_angle_rad"
-NUMBERS: Mapping[str, str] = {
-    "rotor.mass_kg": "kg",
-    "imbalance.mass_kg": "kg",
-    "pendulums.a.mass_kg": "kg",
-    "pendulums.a.length_m": "m",
-    "pendulums.b.mass_kg": "kg",
-    "pendulums.b.length_m": "m",
-    "pendulums.pivot_shift_m": "m",
-    ZERO_A: "rad",
-    ZERO_B: "rad",
-    INDEX: "rad",
-}
-"""Numbers that no test identifies, by key in the rig file, with units. S_P is identified, so its radius is not here."""
 USUAL_SHARE = 1e-3
 """Relative standard uncertainty of a mass or length that is stated without one: 1 g of 1 kg on a kitchen balance,
 0.05 mm of 54 mm with a caliper."""
-MASSES = tuple(name for name, unit in NUMBERS.items() if unit == "kg")
-PHYSICAL = tuple(name for name in NUMBERS if name not in (ZERO_A, ZERO_B, INDEX))
+PHYSICAL = tuple(key for key in PHYSICAL_KEYS if PHYSICAL_NUMBERS[key].known)
+"""Numbers of the equations that no test identifies, by key. S_P is identified, so its radius is not here."""
+MASSES = tuple(key for key in PHYSICAL if PHYSICAL_NUMBERS[key].unit == "kg")
 FRICTION = ("friction.a_Nm", "friction.b_Nm")
 """Dry friction of A and B at the speed of a release, N m; not in the rig file, 0 if none was identified."""
 CONTACT_FRICTION = ("friction.a_kg_m2", "friction.b_kg_m2")
@@ -98,7 +86,7 @@ class KnownNumbers:
     """All known numbers of a rig.
 
     Attributes:
-        values: every number, in the order of NUMBERS.
+        values: every number.
         sources: causes of error with a standard uncertainty above 0.
         assumed: numbers whose standard uncertainty the rig file does not state: USUAL_SHARE of each is assumed.
     """
@@ -134,15 +122,7 @@ def assumed_remarks(names: Sequence[str]) -> list[str]:
 
 def physical_numbers(physics: RotorParameters) -> dict[str, float]:
     """Return the physical numbers that no test identifies, by name."""
-    return {
-        "rotor.mass_kg": physics.rotor_mass_kg,
-        "imbalance.mass_kg": physics.imbalance_mass_kg,
-        "pendulums.a.mass_kg": physics.a.mass_kg,
-        "pendulums.a.length_m": physics.a.length_m,
-        "pendulums.b.mass_kg": physics.b.mass_kg,
-        "pendulums.b.length_m": physics.b.length_m,
-        "pendulums.pivot_shift_m": physics.pivot_shift_m,
-    }
+    return {name: PHYSICAL_NUMBERS[name].of(physics) for name in PHYSICAL}
 
 
 def with_number(physics: RotorParameters, name: str, value: float) -> RotorParameters:
@@ -155,15 +135,10 @@ def with_number(physics: RotorParameters, name: str, value: float) -> RotorParam
     Raises:
         OutsideDomain: the value is impossible.
     """
-    found = physics.identified()
-    part, _, key = name.removeprefix("pendulums.").partition(".")
-    if part in ("a", "b"):
-        pendulum = dataclasses.replace(physics.a if part == "a" else physics.b, **{key: value})
-        return dataclasses.replace(physics, **{part: pendulum})
-    if part == "pivot_shift_m":
-        return dataclasses.replace(physics, pivot_shift_m=value)
-    changed = dataclasses.replace(physics, **{f"{part}_{key}": value})
-    return changed.with_values(SP_kg_m=found["SP_kg_m"]) if part == "imbalance" and value > 0 else changed
+    changed = PHYSICAL_NUMBERS[name].changed(physics, value)
+    if name == "imbalance.mass_kg" and value > 0:
+        return changed.with_values(SP_kg_m=physics.imbalance_moment_kg_m)
+    return changed
 
 
 def own_source(name: str, std: float, instrument: Instrument | None, places: tuple[str, ...] = ()) -> KnownSource:
@@ -176,10 +151,11 @@ def own_source(name: str, std: float, instrument: Instrument | None, places: tup
         places: numbers that it changes equally; by default its own name.
     """
     effects = dict.fromkeys(places or (name,), std)
+    unit = PHYSICAL_NUMBERS[next(iter(effects))].unit
     if instrument is None:
-        return KnownSource(name, std, NUMBERS[(places or (name,))[0]], effects)
+        return KnownSource(name, std, unit, effects)
     freedom = math.inf if instrument.degrees_of_freedom is None else instrument.degrees_of_freedom
-    return KnownSource(name, std, NUMBERS[name], effects, instrument.type, instrument.distribution, freedom)
+    return KnownSource(name, std, unit, effects, instrument.type, instrument.distribution, freedom)
 
 
 def scale_source(name: str, instrument: Instrument, values: Mapping[str, float]) -> KnownSource | None:

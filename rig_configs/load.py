@@ -20,6 +20,7 @@ from rig_configs.drag import Drag
 from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.physical_numbers import PARAMETERS
 from rig_configs.ports import refuse_shared_ports, refuse_unseen_locks
 from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
@@ -118,14 +119,14 @@ def set_by(settings: Sequence[str]) -> set[str]:
     keys = [parse_setting(text)[0] for text in settings]
     return {
         name
-        for name, places in _SETTINGS_OF.items()
-        if any(place == key or place.startswith(f"{key}.") for place in places for key in keys)
+        for name, parameter in PARAMETERS.items()
+        if any(place == key or place.startswith(f"{key}.") for place in parameter.places for key in keys)
     }
 
 
 def replaced_by(names: Iterable[str]) -> set[str]:
     """Return the keys of the rig file whose values identified parameters of these names replace."""
-    return {_PLACES.get(name, "imbalance.radius_m") for name in names}
+    return {PARAMETERS[name].places[-1] for name in names}
 
 
 def with_truth(rig: Rig, key: str, value: Any) -> Rig:
@@ -280,17 +281,6 @@ def rig_text(path_or_name: str | Path) -> tuple[str, str]:
         raise RigFileError(f"{path}: cannot be read as a text file: {error}") from error
 
 
-_PLACES = {
-    "k1_N_per_m": "suspension.k1_N_per_m",
-    "k2_N_per_m": "suspension.k2_N_per_m",
-    "zeta1": "suspension.zeta1",
-    "zeta2": "suspension.zeta2",
-    "c3_Nms_per_rad": "pendulums.a.damping_Nms_per_rad",
-    "c4_Nms_per_rad": "pendulums.b.damping_Nms_per_rad",
-}
-_SETTINGS_OF = {name: {key} for name, key in _PLACES.items()} | {"SP_kg_m": {"imbalance.mass_kg", "imbalance.radius_m"}}
-
-
 def _apply_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
     """Set the radius of the file's imbalance mass from an identified S_P; an invalid mass is left to the schema."""
     table = _as_table(raw.get("imbalance"))
@@ -305,10 +295,10 @@ def _apply_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> No
 
 def _apply_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: str) -> None:
     for name, value in known.values.items():
-        if name in _PLACES:
-            apply_setting(raw, _PLACES[name], value, source)
-        elif name == "SP_kg_m":
+        if name == "SP_kg_m":
             _apply_imbalance(raw, value, source)
+        else:
+            apply_setting(raw, PARAMETERS[name].key, value, source)
     if drag := Drag.of(known.provenance):
         for part, value in zip("ab", np.maximum(drag.values, 0.0).tolist(), strict=True):
             apply_setting(raw, f"pendulums.{part}.drag_Nms2_per_rad2", value, source)

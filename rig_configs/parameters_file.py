@@ -20,44 +20,13 @@ from rig_configs.drag import Drag
 from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import KnownNumbers, KnownSource
+from rig_configs.physical_numbers import PARAMETERS
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
 
-PARAMETER_UNITS: Mapping[str, str] = {
-    "k1_N_per_m": "N/m",
-    "k2_N_per_m": "N/m",
-    "zeta1": "1",
-    "zeta2": "1",
-    "c3_Nms_per_rad": "N m s/rad",
-    "c4_Nms_per_rad": "N m s/rad",
-    "SP_kg_m": "kg m",
-}
-PARAMETER_SYMBOLS: Mapping[str, str] = {
-    "k1_N_per_m": "k1",
-    "k2_N_per_m": "k2",
-    "zeta1": "ζ1",
-    "zeta2": "ζ2",
-    "c3_Nms_per_rad": "c3",
-    "c4_Nms_per_rad": "c4",
-    "SP_kg_m": "S_P",
-}
-DESIGN_SHARE: Mapping[str, float] = {
-    "k1_N_per_m": 0.15,
-    "k2_N_per_m": 0.15,
-    "zeta1": 0.7,
-    "zeta2": 0.7,
-    "c3_Nms_per_rad": 0.7,
-    "c4_Nms_per_rad": 0.7,
-    "SP_kg_m": 0.05,
-}
-"""Relative standard uncertainty of a rig file's value that no test has identified.
-
-The stiffness of a bar grows with the fourth power of its thickness, of which 3 to 4 % are usual with its clamping. An
-eddy-current damper grows with the square of the field in its gap, which is known to a third. A brass weight sits within
-1 mm on a radius of 20 mm.
-"""
-
+PARAMETER_UNITS: Mapping[str, str] = {name: each.unit for name, each in PARAMETERS.items()}
+PARAMETER_SYMBOLS: Mapping[str, str] = {name: each.symbol for name, each in PARAMETERS.items()}
 _ROUNDING = 1e-6  # relative error of a variance that is printed with few digits
 
 
@@ -163,10 +132,11 @@ class IdentifiedParameters:
 
         Args:
             physics: rig's parameters.
-            exact: names of values that are taken as exact, because they were set. The others have DESIGN_SHARE.
+            exact: names of values that are taken as exact, because they were set. The others have the design
+                share of `PARAMETERS`.
         """
         return {
-            name: (value, 0.0 if name in exact else DESIGN_SHARE[name] * abs(value))
+            name: (value, 0.0 if name in exact else PARAMETERS[name].design_share * abs(value))
             for name, value in physics.identified().items()
             if name not in self.values
         }

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
-from typing import Annotated, Literal, cast
+from collections.abc import Mapping
+from operator import attrgetter
+from typing import Annotated, Any, Literal, TypeVar, cast
 
-from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
+from pydantic import BeforeValidator, Field, SerializeAsAny, create_model, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from dynamics.equations.parameters import Pendulum, RotorParameters, rolling_arm
@@ -33,22 +34,25 @@ from rig_configs.known import (
     physical_numbers,
     scale_source,
 )
+from rig_configs.physical_numbers import PHYSICAL_KEYS, PHYSICAL_NUMBERS, PhysicalNumber
 from rig_configs.roles import USUAL_RELEASE_STD_S, Roles, role_table
 from rig_configs.table import Finite, NotNegative, Positive, RigTable, Share
+
+_Table = TypeVar("_Table", bound=RigTable)
 
 
 class Rotor(RigTable):
     """Disk and column."""
 
-    mass_kg: Annotated[float, Field(gt=0, le=1e4)]
+    mass_kg: Annotated[float, PHYSICAL_NUMBERS["rotor.mass_kg"]]
     mass_std_kg: NotNegative | None = None
 
 
 class Imbalance(RigTable):
     """The imbalance weight."""
 
-    mass_kg: Annotated[float, Field(ge=0, le=100)]
-    radius_m: Annotated[float, Field(ge=0, le=1)]
+    mass_kg: Annotated[float, PHYSICAL_NUMBERS["imbalance.mass_kg"]]
+    radius_m: Annotated[float, PHYSICAL_NUMBERS["imbalance.radius_m"]]
     mass_std_kg: NotNegative | None = None
     radius_std_m: NotNegative | None = None
 
@@ -68,14 +72,14 @@ class PendulumTable(RigTable):
     arm.
     """
 
-    mass_kg: Annotated[float, Field(ge=0, le=100)]
-    length_m: Annotated[float, Field(gt=0, le=1)]
-    damping_Nms_per_rad: Annotated[float, Field(ge=0, le=50)]
-    drag_Nms2_per_rad2: Annotated[float, Field(ge=0, le=1)] = 0.0
-    friction_arm_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    ball_radius_m: Annotated[float, Field(ge=0, le=1)] = 0.0
-    ball_inertia_ratio: Annotated[float, Field(ge=0, le=1)] = 0.4
-    rolling_resistance_m: Annotated[float, Field(ge=0, le=0.01)] = 0.0
+    mass_kg: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.mass_kg"]]
+    length_m: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.length_m"]]
+    damping_Nms_per_rad: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.damping_Nms_per_rad"]]
+    drag_Nms2_per_rad2: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.drag_Nms2_per_rad2"]] = 0.0
+    friction_arm_m: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.friction_arm_m"]] = 0.0
+    ball_radius_m: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.ball_radius_m"]] = 0.0
+    ball_inertia_ratio: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.ball_inertia_ratio"]] = 0.4
+    rolling_resistance_m: Annotated[float, PHYSICAL_NUMBERS["pendulums.a.rolling_resistance_m"]] = 0.0
     mass_std_kg: NotNegative | None = None
     length_std_m: NotNegative | None = None
 
@@ -106,7 +110,7 @@ class Pendulums(RigTable):
 
     a: PendulumTable
     b: PendulumTable
-    pivot_shift_m: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    pivot_shift_m: Annotated[float, PHYSICAL_NUMBERS["pendulums.pivot_shift_m"]] = 0.0
     pivot_shift_compensated: bool = True
     pivot_shift_std_m: NotNegative | None = None
     release_std_s: Annotated[float, Field(ge=0, le=0.02)] = USUAL_RELEASE_STD_S
@@ -115,11 +119,11 @@ class Pendulums(RigTable):
 class Suspension(RigTable):
     """Springs and eddy-current dampers, k1 and ζ1 along x, k2 and ζ2 along y; gravity along −y for a lying shaft."""
 
-    k1_N_per_m: Annotated[float, Field(gt=0, le=1e9)]
-    k2_N_per_m: Annotated[float, Field(gt=0, le=1e9)]
-    zeta1: Annotated[float, Field(ge=0, le=2)]
-    zeta2: Annotated[float, Field(ge=0, le=2)]
-    gravity_m_per_s2: Annotated[float, Field(ge=0, le=30)] = 0.0
+    k1_N_per_m: Annotated[float, PHYSICAL_NUMBERS["suspension.k1_N_per_m"]]
+    k2_N_per_m: Annotated[float, PHYSICAL_NUMBERS["suspension.k2_N_per_m"]]
+    zeta1: Annotated[float, PHYSICAL_NUMBERS["suspension.zeta1"]]
+    zeta2: Annotated[float, PHYSICAL_NUMBERS["suspension.zeta2"]]
+    gravity_m_per_s2: Annotated[float, PHYSICAL_NUMBERS["suspension.gravity_m_per_s2"]] = 0.0
 
 
 def _settings(value: object) -> object:
@@ -147,8 +151,8 @@ _RESERVED = ("host", "log")  # devices of events that the suite itself creates
 class Limits(RigTable):
     """Limits beyond which the rotor is stopped."""
 
-    speed_rpm: Annotated[float, Field(gt=0, le=3000)] = 1200.0
-    amplitude_m: Positive = 0.011
+    speed_rpm: Annotated[float, PHYSICAL_NUMBERS["limits.speed_rpm"]] = 1200.0
+    amplitude_m: Annotated[float, PHYSICAL_NUMBERS["limits.amplitude_m"]] = 0.011
 
 
 class Point(RigTable):
@@ -210,52 +214,25 @@ class VirtualDrive(RigTable):
     report_s: Annotated[float, Field(ge=0.001, le=1)] = 0.01
 
 
-class TruthPendulum(RigTable):
-    """True numbers of one pendulum; missing ones are those of the file's physical part."""
-
-    mass_kg: Positive | None = None
-    length_m: Positive | None = None
-    damping_Nms_per_rad: NotNegative | None = None
-    friction_arm_m: NotNegative | None = None
-
-
-class TruthPendulums(RigTable):
-    """True numbers of the pendulums."""
-
-    a: TruthPendulum = TruthPendulum()
-    b: TruthPendulum = TruthPendulum()
-    pivot_shift_m: NotNegative | None = None
-
-
-class TruthRotor(RigTable):
-    """True mass of the rotor."""
-
-    mass_kg: Positive | None = None
+def _may_state(numbers: Mapping[str, PhysicalNumber]) -> type[RigTable]:
+    """Return a table that may state each of some physical numbers, by dotted key in the table."""
+    parts: dict[str, dict[str, PhysicalNumber]] = {}
+    for key, number in numbers.items():
+        name, _, inside = key.partition(".")
+        parts.setdefault(name, {})[inside] = number
+    fields: dict[str, Any] = {}
+    for name, inner in parts.items():
+        if number := inner.get(""):
+            kind: Any = Annotated[float, number]
+            fields[name] = (kind | None, None)
+        else:
+            table = _may_state(inner)
+            fields[name] = (table, table())
+    return create_model("Truth", __base__=RigTable, **fields)
 
 
-class TruthImbalance(RigTable):
-    """True imbalance."""
-
-    mass_kg: NotNegative | None = None
-    radius_m: NotNegative | None = None
-
-
-class TruthSuspension(RigTable):
-    """True suspension."""
-
-    k1_N_per_m: Positive | None = None
-    k2_N_per_m: Positive | None = None
-    zeta1: NotNegative | None = None
-    zeta2: NotNegative | None = None
-
-
-class Truth(RigTable):
+class Truth(_may_state({key: PHYSICAL_NUMBERS[key] for key in PHYSICAL_KEYS})):
     """True numbers of the simulated rig that differ from the rig file's physical part. Only its bytes reveal them."""
-
-    rotor: TruthRotor = TruthRotor()
-    imbalance: TruthImbalance = TruthImbalance()
-    pendulums: TruthPendulums = TruthPendulums()
-    suspension: TruthSuspension = TruthSuspension()
 
 
 class Virtual(RigTable):
@@ -287,7 +264,16 @@ class Rig(RigTable):
     @property
     def physics(self) -> RotorParameters:
         """Physical part as parameters for dynamics."""
-        return _physics(self.rotor, self.imbalance, self.pendulums, self.suspension)
+        return RotorParameters(
+            rotor_mass_kg=self.rotor.mass_kg,
+            imbalance_mass_kg=self.imbalance.mass_kg,
+            imbalance_radius_m=self.imbalance.radius_m,
+            a=self.pendulums.a.physics,
+            b=self.pendulums.b.physics,
+            pivot_shift_m=self.pendulums.pivot_shift_m,
+            pivot_shift_compensated=self.pendulums.pivot_shift_compensated,
+            **self.suspension.model_dump(),
+        )
 
     @property
     def roles(self) -> Roles:
@@ -297,7 +283,7 @@ class Rig(RigTable):
     @property
     def known(self) -> KnownNumbers:
         """Known numbers with standard uncertainties and common sources of error."""
-        values = physical_numbers(self.physics) | {ZERO_A: 0.0, ZERO_B: 0.0, INDEX: 0.0}
+        values = physical_numbers(self.physics) | dict.fromkeys((ZERO_A, ZERO_B, INDEX), 0.0)
         instrument_of = {name: each for each in self.instruments.values() for name in each.measures}
         scales = [scale_source(name, each, values) for name, each in self.instruments.items()]
         by_scale = {name for scale in scales if scale is not None for name in scale.effects}
@@ -309,20 +295,10 @@ class Rig(RigTable):
 
     def _stds(self) -> dict[str, float | None]:
         """Return the standard uncertainty of each number alone; None where the rig file does not state it."""
-        a, b, roles = self.pendulums.a, self.pendulums.b, self.roles
-        zero = math.radians(roles.zero_std_deg)
-        return {
-            "rotor.mass_kg": self.rotor.mass_std_kg,
-            "imbalance.mass_kg": self.imbalance.mass_std_kg,
-            "pendulums.a.mass_kg": a.mass_std_kg,
-            "pendulums.a.length_m": a.length_std_m,
-            "pendulums.b.mass_kg": b.mass_std_kg,
-            "pendulums.b.length_m": b.length_std_m,
-            "pendulums.pivot_shift_m": self.pendulums.pivot_shift_std_m,
-            ZERO_A: zero,
-            ZERO_B: zero,
-            INDEX: math.radians(roles.phase.index_angle_std_deg) if roles.phase else 0.0,
-        }
+        zero, phase = math.radians(self.roles.zero_std_deg), self.roles.phase
+        index = math.radians(phase.index_angle_std_deg) if phase else 0.0
+        stated = {name: attrgetter(PHYSICAL_NUMBERS[name].std_key)(self) for name in PHYSICAL}
+        return stated | {ZERO_A: zero, ZERO_B: zero, INDEX: index}
 
     @model_validator(mode="after")
     def _instruments_measure_numbers_of_the_rig(self) -> Rig:
@@ -366,15 +342,10 @@ class Rig(RigTable):
             name: name in rig_configs.known.PHYSICAL.
             value: new value in its unit.
         """
-        *path, key = name.split(".")
-        tables: list[RigTable] = [self]
-        for part in path:
-            tables.append(getattr(tables[-1], part))
-        changed = tables.pop().model_copy(update={key: value})
-        for part in reversed(path):
-            changed = tables.pop().model_copy(update={part: changed})
-        assert isinstance(changed, Rig)
-        return changed
+        changed: Any = value
+        for part in reversed(name.split(".")):
+            changed = {part: changed}
+        return _with(self, changed)
 
     def snapshot_json(self) -> bytes:
         """Return the rig file for a log, without the numbers of a simulation."""
@@ -390,35 +361,17 @@ class Rig(RigTable):
         """Numbers of the simulated rig; only for the virtual rig and the demo's closing comparison."""
         if self.virtual is None:
             raise ValueError(f"rig {self.name} is not simulated: it has no [virtual] table")
-        return _laid_over(self.physics, self.virtual.truth)
+        changes = self.virtual.truth.model_dump(exclude_none=True)
+        for pendulum in (changes["pendulums"]["a"], changes["pendulums"]["b"]):
+            if "friction_arm_m" in pendulum:  # the whole true arm: rolling resistance is a part of it
+                pendulum["rolling_resistance_m"] = 0.0
+        return _with(self, changes).physics
 
 
-def _physics(rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspension: Suspension) -> RotorParameters:
-    return RotorParameters(
-        rotor_mass_kg=rotor.mass_kg,
-        imbalance_mass_kg=imbalance.mass_kg,
-        imbalance_radius_m=imbalance.radius_m,
-        a=pendulums.a.physics,
-        b=pendulums.b.physics,
-        pivot_shift_m=pendulums.pivot_shift_m,
-        pivot_shift_compensated=pendulums.pivot_shift_compensated,
-        **suspension.model_dump(),
-    )
-
-
-def _laid_over(physics: RotorParameters, truth: Truth) -> RotorParameters:
-    """Return the physics with the numbers of the truth in place of its own."""
-
-    def given(table: RigTable) -> dict[str, float]:
-        return {k: v for k, v in table if isinstance(v, float)}
-
-    shift = truth.pendulums.pivot_shift_m
-    return replace(
-        physics,
-        rotor_mass_kg=physics.rotor_mass_kg if truth.rotor.mass_kg is None else truth.rotor.mass_kg,
-        **{f"imbalance_{k}": v for k, v in given(truth.imbalance).items()},
-        a=replace(physics.a, **given(truth.pendulums.a)),
-        b=replace(physics.b, **given(truth.pendulums.b)),
-        **given(truth.suspension),
-        pivot_shift_m=physics.pivot_shift_m if shift is None else shift,
-    )
+def _with(table: _Table, changes: Mapping[str, Any]) -> _Table:
+    """Return a table with other values; those of a table inside are a mapping."""
+    update = dict(changes)
+    for name, value in changes.items():
+        if isinstance(inner := getattr(table, name), RigTable):
+            update[name] = _with(inner, value)
+    return table.model_copy(update=update)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rig_configs.known import NUMBERS, PHYSICAL
-from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
+from rig_configs.known import PHYSICAL
+from rig_configs.parameters_file import IdentifiedParameters
+from rig_configs.physical_numbers import PARAMETERS, PHYSICAL_NUMBERS
 from rig_configs.schema import Rig
 
 Origin = Literal["identified", "design", "stated", "assumed", "exact"]
@@ -46,8 +47,8 @@ def values_in_use(rig: Rig, identified: IdentifiedParameters) -> list[ValueInUse
     whole = identified.completed(rig.physics)
     for name, value in whole.values.items():
         origin: Origin = "identified" if name in identified.values else "design"
-        found.append(ValueInUse(name, value, whole.std[name], PARAMETER_UNITS[name], origin))
+        found.append(ValueInUse(name, value, whole.std[name], PARAMETERS[name].unit, origin))
     for name in PHYSICAL:
         kind: Origin = "assumed" if name in known.assumed else "stated" if known.std(name) > 0 else "exact"
-        found.append(ValueInUse(name, known.values[name], known.std(name), NUMBERS[name], kind))
+        found.append(ValueInUse(name, known.values[name], known.std(name), PHYSICAL_NUMBERS[name].unit, kind))
     return found

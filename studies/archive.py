@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from daq.errors import LogError, RecordingError
 from daq.log.rig_of_logs import RigText, RigUse, rig_of_logs
@@ -19,7 +20,7 @@ from identification import IdentificationError, identify
 from rig_configs import IdentifiedParameters, RigFileError
 from studies.errors import StudyInputError
 from studies.runs import load_runs
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 
 
@@ -88,7 +89,7 @@ def _question(text: str) -> Mapping[str, Any]:
     return json.loads(text)
 
 
-class Archive:
+class Archive(Kind):
     """Kind of study: a campaign's parameters as the text of parameters.toml, and warnings.
 
     A campaign whose logs identify nothing has an `error` in words instead.
@@ -96,21 +97,24 @@ class Archive:
 
     uses_threads = False
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         return len(_question(text)["campaigns"])
 
+    @override
     def part(self, text: str, tile: int) -> str:
-        """Return the part of one campaign, whose result does not depend on the others; see Kind."""
+        """Return the part of one campaign, whose result does not depend on the others."""
         question = _question(text)
         own = {name: value for name, value in question.items() if name != "campaigns"}
         return Study.question(own | {"campaign": question["campaigns"][tile]})
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code; see Kind."""
+        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code."""
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Identify one campaign; see Kind."""
+        """Identify one campaign."""
         question = _question(text)
         name, logs = question["campaigns"][tile]["name"], question["campaigns"][tile]["logs"]
         given, settings = question["rig"], question["settings"]

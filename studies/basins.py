@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from analysis.maps.question import SourceText
 from dynamics.equations.parameters import RotorParameters
@@ -21,7 +22,7 @@ from dynamics.steady.basins.slipping_orbits import SlippingOrbit
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters
 from rig_configs.load import rig_from_text
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
@@ -109,26 +110,28 @@ def _parsed(text: str) -> tuple[BasinQuestion, RotorParameters, list[Part]]:
     return question, question.physics, parts_of(across, up, _MAX_COLUMNS, _MAX_RELEASES)
 
 
-class Basins:
+class Basins(Kind):
     """Kind of study: a part of a basin map, and the end states of its releases."""
 
     uses_threads = True
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         return len(_parsed(text)[2])
 
+    @override
     def part(self, text: str, tile: int) -> None:
-        """Return None: the tile's number is sufficient; see Kind."""
+        """Return None: the tile's number is sufficient."""
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Compile the code of basins; see Kind."""
         question, physics, _ = _parsed(text)
         three, four = question.angles_rad
         basins(physics, question.speed_rad_s, three[:1], four[:1], 2 * math.pi / question.speed_rad_s, workers=1)
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Compute one part of the grid; see Kind."""
+        """Compute one part of the grid."""
         question, physics, parts = _parsed(text)
         rows, columns = parts[tile]
         three, four = question.angles_rad

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from analysis.errors import AnalysisError
 from daq.errors import AcquisitionError
@@ -26,7 +27,7 @@ from daq.lockstep.rehearsal import Rehearsal
 from identification import IdentificationError, identify
 from rig_configs import RigFileError, load_rig
 from studies.runs import load_runs
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 from studies.validated_runs import validated
 
@@ -52,7 +53,7 @@ def _question(text: str) -> Mapping[str, Any]:
     return json.loads(text)
 
 
-class Campaigns:
+class Campaigns(Kind):
     """Kind of study: parameters with truth and standard deviations, points with verdicts and z-scores, warnings.
 
     A campaign that fails (a refused test, nothing to identify) has an `error` in words instead.
@@ -60,21 +61,24 @@ class Campaigns:
 
     uses_threads = False
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         return int(_question(text)["campaigns"])
 
+    @override
     def part(self, text: str, tile: int) -> str:
-        """Return the part of one seed, whose campaign does not depend on the number of campaigns; see Kind."""
+        """Return the part of one seed, whose campaign does not depend on the number of campaigns."""
         question = _question(text)
         own = {name: question[name] for name in ("rig", "settings")}
         return Study.question(own | {"seed": int(question["first_seed"]) + tile})
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code; see Kind."""
+        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code."""
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Run one campaign; see Kind."""
+        """Run one campaign."""
         question = _question(text)
         seed = int(question["first_seed"]) + tile
         with tempfile.TemporaryDirectory(prefix="rig-campaign-") as name:

@@ -8,11 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from analysis.maps.coexistence import COEXISTENCE_ARRAYS, CoexistenceMap, motions_at
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
@@ -37,25 +38,28 @@ def _plane(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]:
     return question.plane(), question.x.values, question.y.values
 
 
-class Coexistence:
+class Coexistence(Kind):
     """Kind of study: arrays of `analysis.maps.coexistence.motions_at`, shape (rows, columns)."""
 
     uses_threads = True
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         return len(_parsed(text)[1])
 
+    @override
     def part(self, text: str, tile: int) -> None:
-        """Return None: the tile's number is sufficient; see Kind."""
+        """Return None: the tile's number is sufficient."""
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Compile the code of the motions; see Kind."""
+        """Compile the code of the motions."""
         plane, x, y = _plane(text)
         motions_at(plane, x[:1], y[:1], workers=1)
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Compute one rectangle; see Kind."""
+        """Compute one rectangle."""
         plane, x, y = _plane(text)
         rows, columns = _parsed(text)[1][tile]
         grid = np.meshgrid(x[columns], y[rows])

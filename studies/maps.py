@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from typing_extensions import override
 
 from analysis.maps.answers import compile_maps
 from analysis.maps.question import MapQuestion
@@ -14,7 +15,7 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.stability_map import StabilityMap, plane_map
 from rig_basics.arrays import Array
 from studies.errors import StudyInputError
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
@@ -53,24 +54,26 @@ def _plane(text: str) -> tuple[Plane, Array, Array]:
     return question.plane(), question.x.values, question.y.values
 
 
-class Maps:
+class Maps(Kind):
     """Kind of study: `multiplier_max`, `error_estimate`, shape (rows, columns), and points by method of a rectangle."""
 
     uses_threads = True
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         return len(_parsed(text)[1])
 
+    @override
     def part(self, text: str, tile: int) -> None:
-        """Return None: the tile's number is sufficient; see Kind."""
+        """Return None: the tile's number is sufficient."""
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Compile the code of maps; see Kind."""
         compile_maps(_parsed(text)[0])
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Compute one rectangle; see Kind."""
+        """Compute one rectangle."""
         rows, columns = _parsed(text)[1][tile]
         plane, x, y = _plane(text)
         accuracy = _parsed(text)[0].accuracy

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from analysis.maps.question import MapQuestion
 from analysis.maps.states import ARRAYS, Indices, StateMap, refined_states, states_at
 from dynamics.stability.map_plane import Plane
 from studies.errors import StudyInputError
-from studies.study import Answer, Study
+from studies.study import Answer, Kind, Study
 from studies.tile_files import TileFolder
 
 _TILE_POINTS = 24  # one or two seconds of computing time
@@ -91,26 +92,28 @@ def _points(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]
     return (question.plane(), x, y) if at is None else (question.plane(), x[at], y[at])
 
 
-class ReleaseStudy:
+class ReleaseStudy(Kind):
     """Kind of study: arrays of `analysis.maps.states.states_at`, shape (points,)."""
 
     uses_threads = True
 
+    @override
     def tiles(self, text: str) -> int:
-        """Return the number of tiles; see Kind."""
         question, at = _parsed(text)
         return -(-(question.x.count * question.y.count if at is None else len(at)) // _TILE_POINTS)
 
+    @override
     def part(self, text: str, tile: int) -> None:
-        """Return None: the tile's number is sufficient; see Kind."""
+        """Return None: the tile's number is sufficient."""
 
+    @override
     def warm_up(self, text: str) -> None:
-        """Compile the code of releases; see Kind."""
         plane, x, y = _points(text)
         states_at(plane, x[:1], y[:1], 1.0, 1)
 
+    @override
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Compute the releases of one tile; see Kind."""
+        """Compute the releases of one tile."""
         plane, x, y = _points(text)
         part = slice(tile * _TILE_POINTS, (tile + 1) * _TILE_POINTS)
         return dict(states_at(plane, x[part], y[part], _parsed(text)[0].seconds, threads))

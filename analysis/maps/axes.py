@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics.stability.map_plane import INVERSE, ROOT, SAME, Coordinate
 from rig_configs import RigFileError
-from rig_configs.physical_keys import need_physical_key
+from rig_configs.physical_numbers import PHYSICAL_NUMBERS, need_physical_key
 
 SPEED_RATIO, SPEED_RPM, STIFFNESS_RATIO = "speed_ratio", "speed_rpm", "stiffness_ratio"
 NAMES = {
@@ -22,15 +22,6 @@ NAMES = {
 }
 """Numbers that are not in a rig file, with their names in figures."""
 SPEEDS = (SPEED_RATIO, SPEED_RPM)
-_SYMBOLS = {
-    "suspension.k1_N_per_m": ("k1", "N/m"),
-    "suspension.k2_N_per_m": ("k2", "N/m"),
-    "suspension.zeta1": ("ζ1", ""),
-    "suspension.zeta2": ("ζ2", ""),
-    "pendulums.a.damping_Nms_per_rad": ("c3", "N m s/rad"),
-    "pendulums.b.damping_Nms_per_rad": ("c4", "N m s/rad"),
-}
-_QUANTITIES = {"k": "stiffness", "ζ": "damping ratio", "c": "pendulum damping"}
 _ROOTS = (STIFFNESS_RATIO, "suspension.k1_N_per_m", "suspension.k2_N_per_m")
 _MAX_COUNT = 10_000_000
 
@@ -136,14 +127,16 @@ def need_alike(keys: tuple[str, ...]) -> None:
 
 def symbol_of(keys: tuple[str, ...]) -> tuple[str, str]:
     """Return the numbers' symbols, joined by =, and their unit after a space; the key replaces a missing symbol."""
-    found = [_SYMBOLS.get(key, (key, "")) for key in keys]
-    unit = found[0][1]
-    return " = ".join(symbol for symbol, _ in found), f" {unit}" if unit else ""
+    found = [PHYSICAL_NUMBERS[key] for key in keys if key in PHYSICAL_NUMBERS and PHYSICAL_NUMBERS[key].symbol]
+    if len(found) < len(keys):
+        return " = ".join(keys), ""
+    return " = ".join(number.symbol for number in found), found[0].shown_unit
 
 
 def name_of(keys: tuple[str, ...]) -> str:
     """Return the numbers' name for an axis of a figure."""
-    if keys[0] not in _SYMBOLS:
+    number = PHYSICAL_NUMBERS.get(keys[0])
+    if number is None or not number.symbol:
         return " = ".join(NAMES.get(key, key) for key in keys)
     symbol, unit = symbol_of(keys)
-    return f"{_QUANTITIES[symbol[0]]} {symbol}{',' if unit else ''}{unit}"
+    return f"{number.kind} {symbol}{',' if unit else ''}{unit}"

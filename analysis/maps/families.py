@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from rig_configs import RigFileError
-from rig_configs.physical_keys import need_physical_key
+from rig_configs.physical_numbers import need_physical_key
 
 _SCAN_VALUES = 9  # values of the scan before the bounded search
 _SEARCH_TOLERANCE = 2e-3  # of the bounded search, relative to its interval

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from analysis.maps.axes import NAMES, SPEED_RATIO, STIFFNESS_RATIO, MapAxis
 from dynamics import RotorParameters
 from dynamics.steady.branches import SteadyBranches, steady_branches
 from rig_basics.units import RPM
 from rig_configs import Rig, RigFileError
-from rig_configs.physical_keys import with_physical
+from rig_configs.physical_numbers import PHYSICAL_NUMBERS
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class RigLine:
         changed = self.physics
         for key in self.axis.keys:
             if key == STIFFNESS_RATIO:
-                changed = with_physical(changed, "suspension.k2_N_per_m", value * changed.k1_N_per_m)
+                changed = replace(changed, k2_N_per_m=value * changed.k1_N_per_m)
             elif key not in NAMES:
-                changed = with_physical(changed, key, value)
+                changed = PHYSICAL_NUMBERS[key].changed(changed, value)
         if self.axis.is_speed:
             return changed, changed.speed_rad_s(value) if self.axis.keys[0] == SPEED_RATIO else value * RPM
         if self.speed_rad_s is not None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from analysis.maps.axes import NAMES, SPEED_RATIO, SPEEDS, STIFFNESS_RATIO, MapAxis
 from dynamics import RotorParameters, balanced_angles
 from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
 from rig_basics.units import RPM
 from rig_configs import Rig, RigFileError
-from rig_configs.physical_keys import with_physical
+from rig_configs.physical_numbers import PHYSICAL_NUMBERS
 
 
 def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxis], speed_rad_s: float | None) -> Plane:
@@ -40,9 +41,9 @@ def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxi
         for axis, value in sorted(zip(axes, (one_x, one_y), strict=True), key=lambda pair: pair[0].keys[0] in NAMES):
             for key in axis.keys:
                 if key == STIFFNESS_RATIO:
-                    changed = with_physical(changed, "suspension.k2_N_per_m", value * changed.k1_N_per_m)
+                    changed = replace(changed, k2_N_per_m=value * changed.k1_N_per_m)
                 elif key not in NAMES:
-                    changed = with_physical(changed, key, value)
+                    changed = PHYSICAL_NUMBERS[key].changed(changed, value)
         for axis, value in zip(axes, (one_x, one_y), strict=True):
             if axis.is_speed:
                 speed = changed.speed_rad_s(value) if axis.keys[0] == SPEED_RATIO else value * RPM

@@ -13,15 +13,16 @@ from typing import Any, BinaryIO
 
 import pyarrow
 import pyarrow.csv
+from typing_extensions import override
 
-from daq.exchange.tables import Columns, Layout
+from daq.exchange.tables import Columns, Layout, TableWriter
 
 pa: Any = pyarrow  # has no types
 csv: Any = pyarrow.csv
 _OPTIONS = csv.WriteOptions(include_header=False, batch_size=65536)
 
 
-class CsvFiles:
+class CsvFiles(TableWriter):
     """See daq.exchange.tables.TableWriter.
 
     Args:
@@ -41,16 +42,17 @@ class CsvFiles:
             self.close()
             raise
 
+    @override
     def append(self, table: str, columns: Columns) -> None:
-        """See TableWriter."""
         names = self._names[table]
         rows = pa.table([pa.array(columns[name]) for name in names], names=names)
         csv.write_csv(rows, self._files[table], _OPTIONS)
 
+    @override
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """See TableWriter; the provenance is written elsewhere."""
+        """The provenance is written elsewhere."""
         self.close()
 
+    @override
     def close(self) -> None:
-        """See TableWriter."""
         self._open.close()

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import h5py
+from typing_extensions import override
 
-from daq.exchange.tables import Columns, Layout
+from daq.exchange.tables import Columns, Layout, TableWriter
 from rig_basics.texts import storable
 
 _CHUNK_ROWS = 16_384
@@ -18,7 +19,7 @@ _LONGEST_ATTRIBUTE = 4000  # characters; HDF5 limits attributes to 64 kB, and vi
 _TEXT: Any = cast("Any", h5py).string_dtype()  # h5py has no types
 
 
-class Hdf5File:
+class Hdf5File(TableWriter):
     """See daq.exchange.tables.TableWriter.
 
     Args:
@@ -45,8 +46,8 @@ class Hdf5File:
                 )
                 dataset.attrs["units"] = layout.units[name]
 
+    @override
     def append(self, table: str, columns: Columns) -> None:
-        """See TableWriter."""
         group: Any = self._file[table]
         done = self._rows[table]
         for name, values in columns.items():
@@ -55,8 +56,8 @@ class Hdf5File:
         self._rows[table] = done + len(next(iter(columns.values())))
         self._disk.check()
 
+    @override
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """See TableWriter."""
         notes = {name: provenance[name] for name in ("events", "health") if name in provenance}
         facts = {key: value for key, value in provenance.items() if key not in notes}
         for name, value in {"provenance": facts, **notes}.items():
@@ -67,8 +68,8 @@ class Hdf5File:
         self.close()
         self._disk.check()
 
+    @override
     def close(self) -> None:
-        """See TableWriter."""
         self._file.close()
         self._disk.close()
 

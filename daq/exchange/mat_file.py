@@ -12,15 +12,16 @@ from typing import Any, cast
 
 import numpy as np
 from scipy import io
+from typing_extensions import override
 
 from daq.exchange.errors import ExchangeError
-from daq.exchange.tables import Columns, Layout
+from daq.exchange.tables import Columns, Layout, TableWriter
 from rig_basics.texts import storable
 
 _LARGEST_VARIABLE = 2**31 - 2**20  # bytes; the rest is reserved for the names of the fields
 
 
-class MatFile:
+class MatFile(TableWriter):
     """See daq.exchange.tables.TableWriter.
 
     Args:
@@ -48,8 +49,8 @@ class MatFile:
             )
         self._parts[table].append(columns)
 
+    @override
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """See TableWriter."""
         variables: dict[str, Any] = {}
         for name, layout in self._layouts.items():
             parts = self._parts.pop(name)
@@ -62,8 +63,8 @@ class MatFile:
         with open(self._place, "wb") as file:
             cast("Any", io).savemat(file, variables, long_field_names=True, oned_as="column")  # scipy.io has no types
 
+    @override
     def close(self) -> None:
-        """See TableWriter."""
         self._parts.clear()
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import pyarrow
 import pyarrow.parquet
+from typing_extensions import override
 
-from daq.exchange.tables import Columns, Layout
+from daq.exchange.tables import Columns, Layout, TableWriter
 from rig_basics.texts import storable
 
 pa: Any = pyarrow  # has no types
@@ -19,7 +20,7 @@ pq: Any = pyarrow.parquet
 _ROW_GROUP = 500_000
 
 
-class ParquetFiles:
+class ParquetFiles(TableWriter):
     """See daq.exchange.tables.TableWriter.
 
     Args:
@@ -42,22 +43,22 @@ class ParquetFiles:
             self.close()
             raise
 
+    @override
     def append(self, table: str, columns: Columns) -> None:
-        """See TableWriter."""
         schema = self._schemas[table]
         rows = pa.table([pa.array(columns[name]) for name in schema.names], schema=schema)
         self._writers[table].write_table(rows, row_group_size=_ROW_GROUP)
 
+    @override
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """See TableWriter."""
         for name, writer in self._writers.items():
             units = json.dumps(self._layouts[name].units, ensure_ascii=False)
             facts = {"table": name, "units": units, "provenance": storable(json.dumps(provenance, ensure_ascii=False))}
             writer.add_key_value_metadata(facts)
         self.close()
 
+    @override
     def close(self) -> None:
-        """See TableWriter."""
         while self._writers:
             self._writers.popitem()[1].close()
         self._files.close()

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import lock_positions, misplaced
@@ -148,8 +149,8 @@ class Locks(Protocol):
         ...
 
 
-class DrivenRotor:
-    """Rotor that the rig's speed source turns; implements Rotor."""
+class DrivenRotor(RotorHand):
+    """Rotor that the rig's speed source turns."""
 
     def __init__(self, session: Session) -> None:
         role = session.rig.roles.speed
@@ -158,29 +159,30 @@ class DrivenRotor:
         self._s = session
 
     @property
+    @override
     def speed_rpm(self) -> float:
-        """See Rotor. The index marks decide, since a wrong setting of the drive scales command and report alike."""
+        """The index marks decide, since a wrong setting of the drive scales command and report alike."""
         return self._s.rotor.rpm()
 
     @property
+    @override
     def reported_rpm(self) -> float:
-        """See Rotor."""
         return self._s.drive.actual_rpm
 
+    @override
     def begin(self) -> str:
-        """See Rotor."""
         drive = self._s.drive
         drive.enable()
         message, drive.was_reset = drive.was_reset, ""
         return message
 
+    @override
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        """See Rotor."""
         self._s.drive.set_ramp(ramp_rpm_per_s)
         self._s.drive.set_speed(rpm)
 
+    @override
     def stop(self) -> None:
-        """See Rotor."""
         drive = self._s.drive
         if abs(drive.actual_rpm) <= self._s.rig.roles.rest_rpm and not drive.enabled:
             return
@@ -193,13 +195,13 @@ class DrivenRotor:
         self._s.rotor.wait_for_rest(_MAX_STOP_S)
         drive.disable()
 
+    @override
     def quick_stop(self) -> None:
-        """See Rotor."""
         self._s.drive.quick_stop()
 
 
-class HandRotor:
-    """Rotor that the operator turns, monitored by its index marks; implements Rotor.
+class HandRotor(RotorHand):
+    """Rotor that the operator turns, monitored by its index marks.
 
     Args:
         session: the open rig.
@@ -208,28 +210,33 @@ class HandRotor:
     """
 
     ramp_rpm_per_s = HAND_RAMP_RPM_S
-    reported_rpm: float = math.nan
 
     def __init__(self, session: Session, operator: Operator, progress: Progress) -> None:
         self._s, self._operator, self._progress = session, operator, progress
 
     @property
+    @override
+    def reported_rpm(self) -> float:
+        return math.nan
+
+    @property
+    @override
     def speed_rpm(self) -> float:
-        """See Rotor."""
         return self._s.rotor.rpm()
 
+    @override
     def begin(self) -> str:
-        """See Rotor."""
         self._s.rotor.permit(None)
         return ""
 
+    @override
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        """See Rotor."""
         self._s.rotor.permit(rpm)
         self._operator.turn(rpm, ramp_rpm_per_s)
 
+    @override
     def stop(self) -> None:
-        """See Rotor. A rotor whose state is unknown counts as turning, so that the operator has to stop it."""
+        """A rotor whose state is unknown counts as turning, so that the operator has to stop it."""
         if not self._s.rotor.turning():
             self._s.rotor.permit(0.0)
             return
@@ -238,24 +245,24 @@ class HandRotor:
         self._s.rotor.permit(0.0)
         self._s.rotor.wait_for_rest(HUMAN_S)
 
+    @override
     def quick_stop(self) -> None:
-        """See Rotor."""
         self._operator.turn(0.0, _STOP_RAMP_RPM_S)
 
 
-class CommandedLocks:
-    """Locks of the rig, which report their state in the flags of the pendulum samples; implements Locks."""
+class CommandedLocks(Locks):
+    """Locks of the rig, which report their state in the flags of the pendulum samples."""
 
     def __init__(self, session: Session, wait: Wait) -> None:
         self._s, self._wait_for = session, wait
 
+    @override
     def lock(self) -> None:
-        """See Locks."""
         self._s.rotor.command_locks("lock both")
         self._wait(closed=True)
 
+    @override
     def release(self, turning: bool) -> int:
-        """See Locks."""
         self._s.rotor.command_locks("release both")
         self._wait(closed=False)
         return self._opened_ns()
@@ -277,15 +284,15 @@ class CommandedLocks:
         return self._s.channels.newest("pendulums", ("flags",), seconds)
 
 
-class HandLocks:
-    """Locks that the operator closes and opens, monitored by the encoders if the rig has any; implements Locks."""
+class HandLocks(Locks):
+    """Locks that the operator closes and opens, monitored by the encoders if the rig has any."""
 
     def __init__(self, session: Session, operator: Operator, progress: Progress, wait: Wait) -> None:
         self._s, self._operator, self._progress, self._wait_for = session, operator, progress, wait
         self._angles: PendulumAngles | None = session.rig.roles.angles
 
+    @override
     def lock(self) -> None:
-        """See Locks."""
         if self._angles is None:
             self._operator.lock(seen=False)
             return
@@ -297,8 +304,9 @@ class HandLocks:
         self._operator.lock(seen=True)
         self._wait_for(lambda: self._wrong() == "", HUMAN_S, "both pendulums to be at rest at their locks")
 
+    @override
     def release(self, turning: bool) -> int:
-        """See Locks. At rest the release is not measured."""
+        """At rest the release is not measured."""
         if not turning or self._angles is None:
             self._operator.release()
             return self._s.clock.now_ns()

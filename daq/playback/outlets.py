@@ -7,6 +7,8 @@ import logging
 from collections.abc import Mapping
 from typing import Protocol
 
+from typing_extensions import override
+
 from daq.drivers.contract import DeviceLine
 from daq.drivers.devices import devices_of, installed_of
 from daq.errors import LinkLost, LogError
@@ -19,7 +21,8 @@ from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
 
-_DEFAULT_BAUD = 115_200  # of lines whose baud rate is not in the rig file
+# Baud rate of a line whose rate is not in the rig file.
+_DEFAULT_BAUD = 115_200
 _PIECE_BYTES = 4096  # largest write to a port that accepts everything or blocks
 
 
@@ -49,7 +52,7 @@ class Outlet(Protocol):
         ...
 
 
-class LinkOutlet:
+class LinkOutlet(Outlet):
     """An existing port to write to. It cannot detect whether a program reads at its far end.
 
     Args:
@@ -62,8 +65,9 @@ class LinkOutlet:
         self.port: str = link.name
         self._open = True
 
+    @override
     def offer(self, data: bytes) -> int:
-        """See Outlet. A full port blocks until the timeout of its link, then the link is lost."""
+        """A full port blocks until the timeout of its link, then the link is lost."""
         piece = data[:_PIECE_BYTES]
         try:
             self._link.write(piece if self._text is None else self._text.sent(piece))
@@ -72,8 +76,8 @@ class LinkOutlet:
             raise
         return len(piece)
 
+    @override
     def receive(self) -> bytes:
-        """See Outlet."""
         try:
             data = self._link.read(0.0) if self._open else b""
             if self._text is None or not data:
@@ -86,16 +90,16 @@ class LinkOutlet:
             self._open = False
             return b""
 
+    @override
     def connected(self) -> bool:
-        """See Outlet."""
         return self._open
 
+    @override
     def descriptor(self) -> int | None:
-        """See Outlet."""
         return None
 
+    @override
     def close(self) -> None:
-        """See Outlet."""
         self._open = False
         self._link.close()
 

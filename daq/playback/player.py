@@ -29,7 +29,8 @@ BACKLOG_BYTES = 4 * 2**20
 """Number of waiting bytes above which playing waits for slow readers."""
 _TURN_S = 0.02  # longest time without service of the ports
 _SETTLE_S = 0.3  # time for a program to flush a port after opening it, or to send its first command
-_SETUP_TIMEOUT_S = 60.0  # from a host's first command to the last expected one
+# Longest time from a host's first command to the last expected one.
+_SETUP_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True)

@@ -125,14 +125,14 @@ class Arrivals:
 
     def _stored(self, topic: str) -> Iterator[Arrival]:
         rows, channel, device = StoredRows(self._log, topic), self._log.channel(topic), self._device_of[topic]
-        while len((taken := rows.take(_ROWS))["time_ns"]):
-            host_ns: NDArray[np.int64] = taken["log_time_ns"]
+        while len((read := rows.read_next(_ROWS))["time_ns"]):
+            host_ns: NDArray[np.int64] = read["log_time_ns"]
             ends = [*(np.flatnonzero(np.diff(host_ns // _READ_NS)) + 1).tolist(), len(host_ns)]
             start = 0
             for end in ends:
-                columns = {name: values[start:end] for name, values in taken.items() if name not in _HEADS}
+                columns = {name: values[start:end] for name, values in read.items() if name not in _HEADS}
                 part = slice(start, end)
-                batch = Batch(channel, taken["time_ns"][part], taken["sequence"][part].astype(np.uint32), columns)
+                batch = Batch(channel, read["time_ns"][part], read["sequence"][part].astype(np.uint32), columns)
                 yield Arrival(int(host_ns[end - 1]), device, False, (with_all_fields(batch),))
                 start = end
 

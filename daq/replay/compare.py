@@ -140,10 +140,10 @@ class ChannelComparison:
         """Return the result; call it once, after everything was added."""
         if self._arrived:
             self._compare()
-        left = self._rows.take(_SLICE, self._until_ns)
+        left = self._rows.read_next(_SLICE, self._until_ns)
         while len(left["time_ns"]):  # in the log, but not decoded from its raw bytes
             self._lone(self._compared + self._extra, left, None)
-            left = self._rows.take(_SLICE, self._until_ns)
+            left = self._rows.read_next(_SLICE, self._until_ns)
         return ChannelCheck(
             self._topic,
             self._live,
@@ -163,16 +163,16 @@ class ChannelComparison:
         decoded: Columns = {"time_ns": batch.time_ns, "log_time_ns": log_time_ns}
         decoded["sequence"] = (np.asarray(batch.sequence, np.int64) & 0xFFFFFFFF).astype(np.uint32)
         decoded |= {name: np.ascontiguousarray(packed[name]) for name in self._both}
-        stored = self._rows.take(len(log_time_ns), self._until_ns)
+        stored = self._rows.read_next(len(log_time_ns), self._until_ns)
         pairs = len(stored["time_ns"])
         if pairs:
             self._pair(stored, {name: values[:pairs] for name, values in decoded.items()})
         if pairs < len(log_time_ns):
-            rest = {name: values[pairs:] for name, values in decoded.items()}
+            unpaired = {name: values[pairs:] for name, values in decoded.items()}
             if self._cut and self._until_ns is None:
                 self._extra += len(log_time_ns) - pairs
             else:
-                self._lone(self._compared, None, rest)
+                self._lone(self._compared, None, unpaired)
 
     def _pair(self, stored: Columns, decoded: Columns) -> None:
         differs = np.zeros(len(stored["time_ns"]), bool)

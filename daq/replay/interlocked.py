@@ -107,7 +107,7 @@ def replay_interlocks(
     share = share_of(log, progress)
     for arrival in run.arrivals:
         share(arrival.host_ns)
-        if run.take(arrival):
+        if run.receive(arrival):
             break
     else:
         run.finish(log.end_ns)
@@ -153,7 +153,7 @@ class _Run:
         self._tick_ns, self._stood = now_ns + self._period_ns, False
         self.now_ns = max(self.now_ns, now_ns)
 
-    def take(self, arrival: Arrival) -> bool:
+    def receive(self, arrival: Arrival) -> bool:
         """Process the next arrival; return True if a session would have ended before it."""
         if self._holes and arrival.host_ns > self._holes[0].start_ns:
             self._pass_hole(self._holes[0], arrival.host_ns)

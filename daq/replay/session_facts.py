@@ -19,7 +19,8 @@ from rig_configs.schema import Rig
 _log = logging.getLogger(__name__)
 
 _CLOSING_S = 5.0  # time in which a session closes its devices while the log is still open, wall s
-_ENDS = ("the test's end", "done", "duration", "silence", "not reached")  # of logs that ended before their session
+# Reasons for the end of a log that ended before its session.
+_ENDS = ("the test's end", "done", "duration", "silence", "not reached")
 
 
 def stops_of(log: Log) -> tuple[Mapping[str, Any], ...]:

@@ -31,7 +31,7 @@ class StoredRows:
         self._block: dict[str, NDArray[Any]] = {}
         self._at = self._size = 0
 
-    def take(self, count: int, until_ns: int | None = None) -> dict[str, NDArray[Any]]:
+    def read_next(self, count: int, until_ns: int | None = None) -> dict[str, NDArray[Any]]:
         """Return the next samples: time_ns, log_time_ns, sequence and every field, each of shape (n ≤ count,).
 
         The number is smaller only at the channel's end, or if the next log time is not before `until_ns`.

@@ -35,18 +35,22 @@ _MIN_MOTION_WIDTHS = 4.0  # means that move by less give no information on the r
 _SLOWER_BY = 3.0  # exponent: twice _MIN_MOTION_WIDTHS lowers the slowest included rate from SLOWEST to _ENDLESS_PER_S
 _FAST_PER_S = 0.5  # an approach this fast hides a simultaneous slow one until it is over
 _STEP = 1.06  # ratio of neighbouring trial rates
-_GRID_FACTOR = 1.15  # on the bound of a drift, for rates between the trial rates
+# The bound of a drift is larger by this factor, because the true rate may lie between two trial rates.
+_GRID_FACTOR = 1.15
 _FASTEST_PER_S = 4.0
 _SLOWEST_SINGLE_PER_S = 0.05
-_MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial rates
+# The width is larger by this factor for a drift that ends, because its rate may lie between two trial rates.
+_MARGIN = 1.5
 # Times the least residual of two terms: other trial rates that may be the true ones. Fewer if no single rate fits: the
 # least residual is then that of the nearest shape.
 _RESIDUALS, _FEW_RESIDUALS = 3.0, 1.5
 _CLOSE = 1.5  # widths: residual up to which two terms continue beyond the windows that one rate fits
 _FAINT = 10.0  # widths: of means that move by less, two rates would describe the noise
 _RIDGE = 1e-9  # regularises two nearly equal shapes
-_MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
-_MAX_RESIDUAL_SHARE = 0.1  # of the newest windows' range: residual up to which two rates or an oscillation are accepted
+# Least width as a share of the newest windows' range: approaches are only nearly exponential, and rates are a grid.
+_MIN_WIDTH_SHARE = 0.01
+# Two rates or an oscillation are accepted up to this residual, as a share of the newest windows' range.
+_MAX_RESIDUAL_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,8 @@ def _misfit(edges_s: Array, means: Array) -> float:
         shape -= shape.mean(axis=1, keepdims=True)
         centred = means - means.mean()
         size = (shape @ centred) / (shape**2).sum(axis=1)
-        rest = np.abs(centred - size[:, None] * shape).max(axis=1)
-    return float(np.where(np.isnan(rest), np.inf, rest).min())
+        residual = np.abs(centred - size[:, None] * shape).max(axis=1)
+    return float(np.where(np.isnan(residual), np.inf, residual).min())
 
 
 @lru_cache(maxsize=1)
@@ -272,12 +276,12 @@ def _two_terms(
     design, inverse = _designs(edges_s.tobytes())
     with np.errstate(over="ignore", invalid="ignore"):
         found = np.asarray(inverse @ means, np.float64)
-        rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
-    rest[np.isnan(rest)] = np.inf  # fast rates over long windows: no shape, so no fit
-    width = max(width, residuals * float(rest.min()))
+        residual = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
+    residual[np.isnan(residual)] = np.inf  # fast rates over long windows: no shape, so no fit
+    width = max(width, residuals * float(residual.min()))
     if width > most:
         return None
-    fits = rest <= width
+    fits = residual <= width
     size = np.abs(found[:, 1:]) + width * np.abs(inverse[:, 1:]).sum(axis=2)
     rates = np.concatenate([pairs[:, 0], waves[:, 0]])
     fast = np.concatenate([pairs[:, 1], waves[:, 0]])

@@ -28,9 +28,12 @@ _FAINT = (1.0, 0.05, 0.0025)  # prior deviations of the slower of two shapes, of
 _GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first grid, refined grid
 _REACH = 4.5  # standard deviations that a refined grid covers on either side
 _MAX_EXPONENT = 200.0
-_MIN_NOISE_SHARE = 1e-7  # of the data range: smaller noise is below the rounding of the arithmetic
-_MIN_BEND_SHARE = 1e-6  # of the data range: a prior deviation must not be zero
-_RIDGE = 1e-13  # of the normal equations: regularises equal shapes
+# A noise below this share of the data range is below the rounding of the arithmetic.
+_MIN_NOISE_SHARE = 1e-7
+# Least prior deviation of a bend, as a share of the data range: it must not be zero.
+_MIN_BEND_SHARE = 1e-6
+# Share of the normal equations' diagonal that is added to it, so that equal shapes have a solution.
+_RIDGE = 1e-13
 _MAX_GRIDS, _MIN_GRIDS = 20, 5  # grids per model; grids before a model may be abandoned
 _HOPELESS = 40.0  # difference of log evidence to a rival model at which a model is abandoned
 _MIN_POINTS = {1: 5.0, 2: 12.0}  # effective number of points, by dimension, at which the grid resolves the posterior

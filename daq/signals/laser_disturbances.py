@@ -19,15 +19,18 @@ import numpy as np
 from rig_basics.arrays import Array
 
 BELOW_Hz: Final = 1.0
-_MAX_RATE_Hz = 1000.0  # of the grid
+# Samples are thinned to an even grid of at most this rate.
+_MAX_RATE_Hz = 1000.0
 MIN_LENGTH_S = 6.0
 _MIN_ORDINATES = 5
-_MIN_WANDER_RATIO = 30.0  # to the white level: a misfit or a changing orbit leaves several times the white level
+# Wander is this many times the white level: a misfit or a changing orbit leaves several times that level.
+_MIN_WANDER_RATIO = 30.0
 _FIRST_ORDINATE = 1.5  # ordinates below are removed by the taper and the straight line
 _GROUP = 24  # ordinates whose median is the local level
 _MIN_PEAK_RATIO = 60.0  # power over that level; the maximum of 10⁵ ordinates of noise stays below 17
 _MIN_DEVIATIONS = 12.0  # standard deviations of a line's amplitude
-_MAX_CHANGE = 0.25  # of the amplitude, by which both halves of a record may differ
+# The amplitudes of a steady line in both halves of a record differ by at most this share.
+_MAX_CHANGE = 0.25
 _SEPARATION = 4.0  # ordinates from a line or an order to another
 _MAX_LINES, _MAX_PEAKS = 4, 20
 _MAINS_Hz = (50.0, 60.0)
@@ -92,15 +95,15 @@ class _Even:
         return self.step_s * len(self.value)
 
 
-def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | None:
+def wander_in(time_s: Array, residual_m: Array, white_m2_per_Hz: float) -> Wander | None:
     """Return slow noise far above the white part; None if it is not present or the record is short.
 
     Args:
         time_s: shape (n,), ascending, s.
-        rest_m: residual after the motion is removed, shape (n,), m; finite.
+        residual_m: residual after the motion is removed, shape (n,), m; finite.
         white_m2_per_Hz: one-sided level of the white noise, 2σ²Δt.
     """
-    even = _evenly(time_s, rest_m)
+    even = _evenly(time_s, residual_m)
     if even is None or not white_m2_per_Hz > 0:
         return None
     n = len(even.value)
@@ -122,7 +125,7 @@ def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | 
 def lines_in(
     time_s: Array,
     value_m: Array,
-    rest: tuple[Array, Array],
+    residual: tuple[Array, Array],
     known_Hz: Sequence[tuple[float, float]] = (),
     least_m: float = 0.0,
 ) -> list[SteadyLine]:
@@ -131,16 +134,16 @@ def lines_in(
     Args:
         time_s, value_m: samples, shape (n,), ascending, finite; s and m. They give the line's amplitude, and reject
             aliases of the thinned samples.
-        rest: times and residuals after the motion is removed, thinned, shapes (k,).
+        residual: times and residuals after the motion is removed, thinned, shapes (k,).
         known_Hz: frequencies and half-widths of bands that may contain residuals of the motion.
         least_m: smallest amplitude of a reported line, m.
     """
-    length = float(rest[0][-1] - rest[0][0]) if len(rest[0]) > 1 else 0.0
+    length = float(residual[0][-1] - residual[0][0]) if len(residual[0]) > 1 else 0.0
     if length < MIN_LENGTH_S:
         return []
     found: list[SteadyLine] = []
     apart = _SEPARATION / length
-    for frequency, noise in _peaks(*rest):
+    for frequency, noise in _peaks(*residual):
         near = [*known_Hz, *((line.frequency_Hz, 0.0) for line in found)]
         if frequency < max(BELOW_Hz, 2 * apart) or any(abs(frequency - f) < apart + wide for f, wide in near):
             continue
@@ -152,11 +155,11 @@ def lines_in(
     return found
 
 
-def _peaks(time_s: Array, rest_m: Array) -> Iterator[tuple[float, float]]:
+def _peaks(time_s: Array, residual_m: Array) -> Iterator[tuple[float, float]]:
     """Yield the frequencies of narrow peaks, strongest first, with the noise of the amplitude in half a record, m."""
     step = float(time_s[1] - time_s[0])
-    window = np.hanning(len(rest_m))
-    power = np.abs(np.fft.rfft((rest_m - rest_m.mean()) * window)) ** 2
+    window = np.hanning(len(residual_m))
+    power = np.abs(np.fft.rfft((residual_m - residual_m.mean()) * window)) ** 2
     count = len(power) // _GROUP
     if count < 2:
         return
@@ -166,7 +169,7 @@ def _peaks(time_s: Array, rest_m: Array) -> Iterator[tuple[float, float]]:
     top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _MIN_PEAK_RATIO * level[1:-1]))
     for k in top[np.argsort(power[top])[::-1]][:_MAX_PEAKS]:
         noise = 2 * math.sqrt(2 * float(level[k]) / math.log(2) / 2) / float(window.sum())
-        yield _peak(power, int(k)) / (step * len(rest_m)), noise
+        yield _peak(power, int(k)) / (step * len(residual_m)), noise
 
 
 def sentences(name: str, wander: Wander | None, lines: Sequence[SteadyLine]) -> list[str]:

@@ -26,10 +26,12 @@ from rig_basics.arrays import Array
 
 Bends = Callable[[Array], Array]
 
-MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential only near its end
+# Error of the models as a share of the extrapolated change: an approach is exponential only near its end.
+MODEL_SHARE = 0.15
 _FITS = 2.6  # largest deviation of the χ² of a series that fits, in standard deviations: about 1 %
 _APART = 2.6  # largest difference between the limits of a series and of its later part, in standard deviations
-_MIN_GAIN = 0.1  # of the later part's variance: lower limit of the variance of that difference
+# Least variance of that difference, as a share of the later part's variance.
+_MIN_GAIN = 0.1
 _MAX_SCATTER = 9.0  # variance of the means over that of their noise: with more, no model here is accepted
 _MIN_MOVING_SHARE = 0.5  # share of the posterior above which a rate is returned
 _MAX_ENDLESS_SHARE = 0.5  # share of the posterior

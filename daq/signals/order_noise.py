@@ -59,7 +59,9 @@ def order_noise(windows: Sequence[tuple[Array, Array]], vectors: Complex, white:
     first = max(0, len(windows) - _NEWEST)
     if len(bins) < _MIN_BINS or len(windows) - first < _MIN_WINDOWS or not white > 0:
         return OrderNoise()
-    coefficients = np.array([_coefficients(phase - phase[0], rest, turns, bins) for phase, rest in windows[first:]])
+    coefficients = np.array(
+        [_coefficients(phase - phase[0], residual, turns, bins) for phase, residual in windows[first:]]
+    )
     begin = np.exp(1j * np.array([phase[0] for phase, _ in windows[first:]]))[:, None]
     coefficients -= _leaked(np.gradient(vectors)[first:, None] * begin, turns, np.array(bins))
     levels = np.maximum(np.median(np.abs(coefficients) ** 2, axis=0), 1e-300) / _OF_MEDIAN
@@ -74,14 +76,14 @@ def order_noise(windows: Sequence[tuple[Array, Array]], vectors: Complex, white:
     return OrderNoise(max(1.0, real), max(1.0, imaginary), _neighbours(scaled))
 
 
-def _coefficients(phase: Array, rest: Array, turns: int, bins: Sequence[int]) -> Complex:
+def _coefficients(phase: Array, residual: Array, turns: int, bins: Sequence[int]) -> Complex:
     """Return 2/n Σ r e^{−ikψ/m} of each bin, shape (bins,)."""
     step = np.exp(-1j / turns * phase)
     wave = step ** bins[0]
     found = np.empty(len(bins), np.complex128)
     for j, k in enumerate(bins):
         wave = wave * step ** (k - bins[j - 1]) if j else wave
-        found[j] = 2 * (wave @ rest) / len(rest)
+        found[j] = 2 * (wave @ residual) / len(residual)
     return found
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from daq.signals.order_noise import OrderNoise, order_noise
 from rig_basics.arrays import Array
 
-_MIN_SHARE = 0.4  # of a window's expected samples that must be present
+# A window is used if at least this share of its expected samples is present.
+_MIN_SHARE = 0.4
 _MIN_SAMPLES = 20
 _MIN_GOOD_SHARE = 0.75  # share of the newest windows that must have enough samples, including the last one
 
@@ -66,22 +67,22 @@ class Cut:
         fit[kept, 0] += self.values[:, self.where[kept]].T
         return fit.transpose(1, 0, 2)
 
-    def rest(self, fit: NDArray[np.floating]) -> Array:
+    def residual(self, fit: NDArray[np.floating]) -> Array:
         """Residuals of the values after the orders are removed, shape (columns, s)."""
-        rest = self.values.copy()
+        residual = self.values.copy()
         for j in np.flatnonzero(self.enough):
             part = slice(self.where[j], self.where[j + 1])
-            rest[:, part] -= fit[:, j].T @ self._basis[:, part]
-        return rest
+            residual[:, part] -= fit[:, j].T @ self._basis[:, part]
+        return residual
 
     def order_noise(self, fit: NDArray[np.floating], white: float) -> OrderNoise:
         """Noise of the first column's order-1 vectors; white: deviation of their parts from white noise."""
         kept = np.flatnonzero(self.enough)
-        rest = self.rest(fit)[0]
+        residual = self.residual(fit)[0]
         parts = [slice(self.where[j], self.where[j + 1]) for j in kept]
         spans = [self.phase[part][-1] - self.phase[part][0] for part in parts]
         turns = round(float(np.median(spans)) / (2 * math.pi))
-        windows = [(self.phase[part], rest[part]) for part in parts]
+        windows = [(self.phase[part], residual[part]) for part in parts]
         return order_noise(windows, fit[1, kept, 0] - 1j * fit[2, kept, 0], white, turns)
 
     @cached_property

@@ -30,8 +30,10 @@ _WORDS: dict[Kind, str] = {
 
 _TURN_RAD = 2 * np.pi
 _WHOLE = 1e-6  # turns, of rounding errors
-_PLAY_RAD = np.radians(1.0)  # of a closed lock, as in daq.acquisition.lock_positions
-_FIRST_S = 1.0  # of a record, whose angles are those of the locks
+# Play of a closed lock, as in daq.acquisition.lock_positions.
+_PLAY_RAD = np.radians(1.0)
+# The angles in the first seconds of a record are those of the locks.
+_FIRST_S = 1.0
 _WRAPPED_RAD = 2.2 * np.pi  # range of a phase that is known within a turn only
 _LEAST_JUMP_RAD = 0.1
 _LEAST_ENCODER_JUMP_RAD = 0.05  # above the noise of any encoder

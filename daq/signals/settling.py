@@ -148,36 +148,25 @@ def settled(
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
+    turning = _judged(
+        "pendulum angles",
+        angles,
+        (limits.angle_tolerance_rad, _MIN_WIDTH_ANGLE),
+        limits.slack * limits.angle_tolerance_rad,
+        limits.average_s,
+        (180 / math.pi, "°"),
+    )
+    whirling = _judged_amplitudes(orbit, limits.amplitude_tolerance_m, limits.slack, limits.average_s)
+    slip = _slipping(angles.means[-windows:])
     held = release_time_s is not None and _still_as_released(
         time_s, angle_rad, angles.means[-1], edges[-1], release_time_s, limits.linger_s
     )
-    return _judged(angles, orbit, limits, _speed_change(*marks, edges[-windows - 1 :]), held)
-
-
-def _judged(angles: WindowMeans, orbit: WindowMeans, limits: SettlingLimits, speed: str, held: bool) -> Settling:
-    """Return the decision for means of angles and amplitudes.
-
-    Args:
-        speed: reason against, from the rotor's speed; may be empty.
-        held: True if the pendulums still have their gap at release.
-    """
-    slip = _slipping(angles.means[-limits.windows :])
-    turning = _worst(angles, limits.angle_tolerance_rad, _MIN_WIDTH_ANGLE, limits.average_s)
-    whirling = _worst(orbit, limits.amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, limits.average_s)
-    found = _settling(angles, orbit, turning, whirling)
-    angle_limit = limits.slack * limits.angle_tolerance_rad
-    amplitude_limit = limits.slack * _visible(orbit, limits.amplitude_tolerance_m)
-    reasons = [
-        speed,
+    others = [
+        _speed_change(*marks, edges[-windows - 1 :]),
         slip,
         "pendulums still stand as released; they may be on an unstable balance" if held else "",
-        _reason("pendulum angles", found.drift_rad, turning, angle_limit, 180 / math.pi, "°"),
-        _reason("amplitudes", found.drift_m, whirling, amplitude_limit, 1e6, " µm"),
     ]
-    lasting = max(_more(turning, angle_limit), _more(whirling, amplitude_limit))
-    bounded = math.isfinite(found.remaining_rad) and math.isfinite(found.remaining_m)
-    found = replace(found, approaching=bounded and any(reasons[3:]) and not any(reasons[:3]))
-    return _decision(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
+    return _decision(orbit, turning, whirling, others, slipping=bool(slip))
 
 
 def locked_settled(
@@ -187,65 +176,113 @@ def locked_settled(
 
     The pendulum angles are not used.
     """
-    edges = whole_revolutions(signals.mark_time_s, signals.mark_phase_rad, window_s, _MAX_WINDOWS)
+    marks = signals.mark_time_s, signals.mark_phase_rad
+    edges = whole_revolutions(*marks, window_s, _MAX_WINDOWS)
     if len(edges) <= windows:
         return _unknown(f"fewer than {number_of(windows, 'window')} of {window_s:g} s at speed")
     orbit = signals.amplitude_means(edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _worst(orbit, amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, window_s)
-    limit = _visible(orbit, amplitude_tolerance_m)
-    found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
-    reasons = [
-        _speed_change(signals.mark_time_s, signals.mark_phase_rad, edges[-windows - 1 :]),
-        _reason("amplitudes", found.drift_m, whirling, limit, 1e6, " µm"),
+    whirling = _judged_amplitudes(orbit, amplitude_tolerance_m, 1.0, window_s)
+    return _decision(orbit, None, whirling, [_speed_change(*marks, edges[-windows - 1 :])])
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """Angles or amplitudes.
+
+    Attributes:
+        drift: change over the last window, of the quantity with the larger change.
+        approach: the larger bound of both quantities.
+        more_s: time until the remaining change is below its limit, s.
+        why: reason against, in one sentence; may be empty.
+    """
+
+    drift: float
+    approach: Approach
+    more_s: float = 0.0
+    why: str = ""
+
+
+_NOT_JUDGED = _Judged(math.nan, Approach(math.nan, math.nan, 0.0, 0.0))
+
+
+def _judged(
+    what: str,
+    seen: WindowMeans,
+    tolerance: tuple[float, float],
+    limit: float,
+    average_s: float,
+    shown: tuple[float, str],
+) -> _Judged:
+    """Judge the remaining change of two quantities.
+
+    Args:
+        what: the quantities, in words.
+        tolerance: their tolerance, and the least width of a mean as a share of it.
+        limit: largest allowed remaining change.
+        average_s: see SettlingLimits.
+        shown: factor to the unit of the sentence, and that unit.
+    """
+    both = [
+        bound(seen.edges_s, column, max(float(width), tolerance[0] * tolerance[1]), average_s, _FAR * tolerance[0])
+        for column, width in zip(seen.means.T, seen.width, strict=True)
     ]
-    return _decision(found, reasons, "amplitudes are steady", _more(whirling, limit), slipping=False)
+    worst = max(both, key=lambda each: each.remaining)
+    worst = replace(worst, mean_off=max(each.mean_off for each in both))
+    drift = float(np.abs(seen.means[-1] - seen.means[-2]).max())
+    factor, unit = shown
+    if worst.remaining <= limit:
+        return _Judged(drift, worst)
+    if math.isinf(worst.remaining):
+        why = f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
+        return _Judged(drift, worst, math.inf, why)
+    more_s = math.log(worst.remaining / limit) / worst.rate_per_s if worst.rate_per_s > 0 else math.inf
+    why = f"{what} may still change by {worst.remaining * factor:.2g}{unit}, the limit is {limit * factor:.2g}{unit}"
+    return _Judged(drift, worst, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else ""))
 
 
-def _visible(orbit: WindowMeans, tolerance_m: float) -> float:
-    """Return the amplitudes' tolerance, or the width of a mean if coloured noise makes the width larger.
+def _judged_amplitudes(orbit: WindowMeans, tolerance_m: float, slack: float, average_s: float) -> _Judged:
+    """Judge the amplitudes. Coloured noise raises their limit to the width of a mean.
 
     A change that wandering lasers cannot resolve is detected by the pendulum angles, which the orbit follows.
     """
-    return max(tolerance_m, float(orbit.width.max())) if orbit.coloured else tolerance_m
+    visible = max(tolerance_m, float(orbit.width.max())) if orbit.coloured else tolerance_m
+    least = (tolerance_m, _MIN_WIDTH_AMPLITUDE)
+    return _judged("amplitudes", orbit, least, slack * visible, average_s, (1e6, " µm"))
+
+
+def _decision(
+    orbit: WindowMeans, turning: _Judged | None, whirling: _Judged, others: list[str], *, slipping: bool = False
+) -> Settling:
+    """Return the decision: with the first reason against, or with the statement that everything is steady.
+
+    Args:
+        turning: the angles; None if they are not judged.
+        others: reasons that are not a remaining change; may be empty texts.
+    """
+    angles = turning or _NOT_JUDGED
+    why = next(filter(None, [*others, angles.why, whirling.why]), "")
+    bounded = math.isfinite(angles.approach.remaining) and math.isfinite(whirling.approach.remaining)
+    lasting = math.inf if slipping else max(angles.more_s, whirling.more_s)
+    return Settling(
+        settled=not why,
+        slipping=slipping,
+        why=why or f"{'angles and ' if turning else ''}amplitudes are steady",
+        drift_rad=angles.drift,
+        remaining_rad=angles.approach.remaining,
+        drift_m=whirling.drift,
+        remaining_m=whirling.approach.remaining,
+        span_s=float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]),
+        mean_off_rad=angles.approach.mean_off,
+        mean_off_m=whirling.approach.mean_off,
+        more_s=lasting if why else 0.0,
+        approaching=bounded and bool(why) and not any(others),
+    )
 
 
 def _unknown(why: str) -> Settling:
     return Settling(False, False, why, math.nan, math.inf, math.nan, math.inf, 0.0)
-
-
-def _worst(seen: WindowMeans, tolerance: float, min_width: float, average_s: float) -> Approach:
-    """Return the larger bound of the two quantities."""
-    both = [
-        bound(seen.edges_s, column, max(float(width), min_width * tolerance), average_s, _FAR * tolerance)
-        for column, width in zip(seen.means.T, seen.width, strict=True)
-    ]
-    worst = max(both, key=lambda a: a.remaining)
-    return replace(worst, mean_off=max(a.mean_off for a in both))
-
-
-def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach, whirling: Approach) -> Settling:
-    """Return the figures of a decision, without the decision itself."""
-    drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
-    drift_m = float(np.abs(orbit.means[-1] - orbit.means[-2]).max())
-    span = float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0])
-    found = Settling(False, False, "", drift, turning.remaining, drift_m, whirling.remaining, span)
-    return replace(found, mean_off_rad=turning.mean_off, mean_off_m=whirling.mean_off)
-
-
-def _decision(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
-    """Complete the decision: with the first reason against, or with the statement that everything is steady."""
-    why = next((reason for reason in reasons if reason), "")
-    return replace(found, settled=not why, slipping=slipping, why=why or steady, more_s=more_s if why else 0.0)
-
-
-def _more(approach: Approach, tolerance: float) -> float:
-    """Return the time after which the remaining change of an approach is below the tolerance, s."""
-    if approach.remaining <= tolerance:
-        return 0.0
-    rate = approach.rate_per_s
-    return math.log(approach.remaining / tolerance) / rate if rate > 0 else math.inf
 
 
 def _change(time: Array, angles: Array, edges: Array) -> float:
@@ -285,16 +322,3 @@ def _speed_change(mark_time: Array, mark_phase: Array, edges: Array) -> str:
     speeds = np.diff(np.interp(edges, mark_time, mark_phase)) / np.diff(edges)
     change = (speeds[-2:].mean() - speeds[:2].mean()) / speeds.mean()
     return f"the speed still changes, by {100 * change:+.2f} % over the last windows" if abs(change) > 1e-3 else ""
-
-
-def _reason(what: str, drift: float, to_come: Approach, tolerance: float, factor: float, unit: str) -> str:
-    """Return a sentence if the remaining change may exceed the tolerance, otherwise an empty text."""
-    if math.isinf(to_come.remaining):
-        return f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
-    if to_come.remaining > tolerance:
-        more = _more(to_come, tolerance)
-        return (
-            f"{what} may still change by {to_come.remaining * factor:.2g}{unit}, the limit is "
-            f"{tolerance * factor:.2g}{unit}" + (f"; about {math.ceil(more)} s more" if math.isfinite(more) else "")
-        )
-    return ""

@@ -27,7 +27,8 @@ SPEED_TOLERANCE = (0.01, 2.0)
 REPORT_DELAY_S = 0.1
 """Delay of a speed report by the drive's filter, the bus and the host, s."""
 _STEP_RPM = 1.0  # reports of CiA 402 in velocity mode are whole rpm; truncation and rounding are not distinguished
-_MARK_STD_S = 1e-3  # of one mark on the common clock: clock map and index sensor
+# Standard uncertainty of one mark on the common clock, from the clock map and the index sensor.
+_MARK_STD_S = 1e-3
 _DRIFT_S, _DRIFTING_S = 5e-3, 3.0  # of a clock's map on a busy host, s, and its first seconds in which it drifts
 _STDS = 3.0  # coverage of the ratio's uncertainty
 _MIN_TURNS = 5

@@ -44,7 +44,7 @@ def state_type(theta_rad: tuple[float, float], moments: Moments, bow_kg_m: compl
     """
     whole = moments.imbalance_moment_kg_m + bow_kg_m
     pendulums = zip((moments.a, moments.b), theta_rad, strict=True)
-    rest = abs(whole + sum(p.first_moment_kg_m * cmath.exp(1j * theta) for p, theta in pendulums))
-    if rest < BALANCED_SHARE * abs(whole):
+    residual = abs(whole + sum(p.first_moment_kg_m * cmath.exp(1j * theta) for p, theta in pendulums))
+    if residual < BALANCED_SHARE * abs(whole):
         return "I"
     return "II" if math.cos(theta_rad[0] - theta_rad[1]) < 0 else "III"

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from daq.signals.order_noise import OrderNoise
-from daq.signals.order_windows import Cut, cut_windows, squared
+from daq.signals.order_windows import cut_windows, squared
 from daq.signals.rounding import code_noise, half_width, rounding_terms
 from rig_basics.arrays import Array
 
 _DEVIATIONS = 3.5  # standard deviations of a mean's noise in its width
-_MIN_RIPPLE = 0.5  # of a step: a code with a larger ripple takes several values
-_MAX_CHANGE = 0.25  # of a step from window to window: for slower pendulums the codes show the noise
-_MEETING = 1e-6  # of a window's length
+# A code whose ripple is larger than this share of a step takes several values.
+_MIN_RIPPLE = 0.5
+# The codes of a pendulum that moves by less than this share of a step from window to window show the noise.
+_MAX_CHANGE = 0.25
+# Windows meet if they are less than this share of a window's length apart.
+_MEETING = 1e-6
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
-_DEFAULT_STEP_RAD = 2 * math.pi / 4096  # for a code that never changes
+# Step that is assumed for a code that never changes.
+_DEFAULT_STEP_RAD = 2 * math.pi / 4096
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ def angle_means(
     step = _step(angles_rad) if step_rad is None else step_rad
     fit = cut.orders()
     kept = cut.enough
-    noise = np.sqrt(cut.mean(squared(np.diff(cut.rest(fit))), kept) / (2 * cut.counts[kept, None]))
+    noise = np.sqrt(cut.mean(squared(np.diff(cut.residual(fit))), kept) / (2 * cut.counts[kept, None]))
     once, twice = (np.median(np.hypot(*fit[k : k + 2, kept]), axis=0) for k in (1, 3))
     codes = cut.values / step if step > 0 else np.zeros_like(cut.values)
     off = codes - np.repeat(codes[:, cut.where[:-1].clip(max=codes.shape[1] - 1)], cut.counts, axis=1)
@@ -140,33 +144,6 @@ def _dither(seen: float, scatter: float, ripple: float, step: float) -> float:
     return math.sqrt(max(0.0, (scatter / step) ** 2 - 1 / 12)) if rippling else seen
 
 
-def amplitude_means(
-    x_time_s: Array,
-    x_m: Array,
-    y_time_s: Array,
-    y_m: Array,
-    mark_time_s: Array,
-    mark_phase_rad: Array,
-    edges: Array,
-    newest: int,
-) -> WindowMeans | None:
-    """Order-1 amplitudes of x and y in the windows with samples of both; None if too many samples are missing."""
-    cuts = _both(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
-    if cuts is None:
-        return None
-    kept = cuts[0].enough & cuts[1].enough
-    columns, noise, beyond = list[Array](), list[float](), list[OrderNoise]()
-    for cut in cuts:
-        fit = cut.orders()
-        columns.append(np.hypot(*fit[1:3, kept, 0]))
-        white = float(
-            np.median(np.sqrt(cut.mean(squared(np.diff(cut.values, 2)), kept)[:, 0] / (3 * cut.counts[kept])))
-        )
-        beyond.append(cut.order_noise(fit, white))
-        noise.append(white * max(beyond[-1].real, beyond[-1].imaginary))
-    return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond], beyond)
-
-
 def orbit_means(
     x_time_s: Array,
     x_m: Array,
@@ -180,23 +157,34 @@ def orbit_means(
     """Complex order-1 amplitudes of x and y in the windows with samples of both; None if too many are missing.
 
     The columns are Re X, Im X, Re Y, Im Y in m, with x = Re(X e^{iψ}) and y alike; `width` and `noise` are of four.
+    Displacements are not rounded.
     """
-    cuts = _both(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
-    if cuts is None:
+    x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
+    y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    if x is None or y is None:
         return None
-    kept = cuts[0].enough & cuts[1].enough
+    kept = x.enough & y.enough
     columns, noise, beyond = list[Array](), list[float](), list[OrderNoise]()
-    for cut in cuts:
+    for cut in (x, y):
         fit = cut.orders()
-        columns += [np.asarray(fit[1, kept, 0], np.float64), -np.asarray(fit[2, kept, 0], np.float64)]
-        each = np.sqrt(cut.mean(squared(np.diff(cut.rest(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
+        columns += [fit[1, kept, 0], -fit[2, kept, 0]]
+        each = np.sqrt(cut.mean(squared(np.diff(cut.residual(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         white = float(np.median(each))
         beyond.append(cut.order_noise(fit, white))
         noise += [white * beyond[-1].real, white * beyond[-1].imaginary]
-    return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond for _ in range(2)], beyond)
+    deviation = np.array(noise)
+    return WindowMeans(
+        x.edges[kept],
+        np.asarray(np.stack(columns, axis=1), np.float64),
+        _DEVIATIONS * deviation,
+        deviation,
+        np.empty((4, 0)),
+        neighbours=np.array([each.neighbours for each in beyond for _ in range(2)]),
+        coloured=any(each != OrderNoise() for each in beyond),
+    )
 
 
-def _both(
+def amplitude_means(
     x_time_s: Array,
     x_m: Array,
     y_time_s: Array,
@@ -205,25 +193,20 @@ def _both(
     mark_phase_rad: Array,
     edges: Array,
     newest: int,
-) -> tuple[Cut, Cut] | None:
-    x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
-    y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
-    return None if x is None or y is None else (x, y)
-
-
-def _orbit(
-    edges_s: Array, columns: list[Array], noise: list[float], neighbours: list[float], beyond: list[OrderNoise]
-) -> WindowMeans:
-    """Return the means of displacements, which are not rounded."""
-    deviation = np.array(noise)
-    return WindowMeans(
-        edges_s,
-        np.stack(columns, axis=1),
-        _DEVIATIONS * deviation,
-        deviation,
-        np.empty((len(noise), 0)),
-        neighbours=np.array(neighbours),
-        coloured=any(each != OrderNoise() for each in beyond),
+) -> WindowMeans | None:
+    """Order-1 amplitudes of x and y in the windows with samples of both; None if too many samples are missing."""
+    lasers = (x_time_s, x_m, y_time_s, y_m)
+    orbit = orbit_means(*lasers, mark_time_s, mark_phase_rad, edges, newest)
+    if orbit is None:
+        return None
+    noise = orbit.noise.reshape(2, 2).max(axis=1)
+    return replace(
+        orbit,
+        means=np.hypot(orbit.means[:, ::2], orbit.means[:, 1::2]),
+        width=_DEVIATIONS * noise,
+        noise=noise,
+        rounding=np.empty((2, 0)),
+        neighbours=orbit.neighbours[::2],
     )
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.pendulums.friction import Friction
 from rig_configs.known import BOW, DRAG, physical_numbers, with_number
-from rig_configs.parameters_file import DESIGN_SHARE
+from rig_configs.physical_numbers import PARAMETERS
 from rig_configs.roles import USUAL_RELEASE_STD_S
 from rig_configs.suspension_terms import TERMS, moved_term
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
-NOMINAL_SHARE = tuple(DESIGN_SHARE[name] for name in NAMES)
+NOMINAL_SHARE = tuple(PARAMETERS[name].design_share for name in NAMES)
 """Relative standard uncertainties of a rig file's k1, k2, ζ1, ζ2, S_P."""
 
 

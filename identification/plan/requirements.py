@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rig_configs.errors import RigFileError
-from rig_configs.parameters_file import PARAMETER_UNITS
+from rig_configs.physical_numbers import PARAMETERS, short
 
-SHORT: Mapping[str, str] = {n.partition("_")[0]: n for n in PARAMETER_UNITS}
+SHORT: Mapping[str, str] = {short(name): name for name in PARAMETERS}
 """Short names k1, k2, zeta1, zeta2, c3, c4, SP → names in parameters.toml."""
 
 _FORM = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*")
@@ -48,12 +48,12 @@ def parse_requirement(text: str) -> Requirement:
     if not sign:
         raise RigFileError(f"required uncertainty {text!r}: expected NAME=VALUE, for example zeta1=1% or k1=5N/m")
     full = SHORT.get(name, name)
-    if full not in PARAMETER_UNITS:
-        near = difflib.get_close_matches(name, [*SHORT, *PARAMETER_UNITS], n=1, cutoff=0.3)
+    if full not in PARAMETERS:
+        near = difflib.get_close_matches(name, [*SHORT, *PARAMETERS], n=1, cutoff=0.3)
         hint = f", did you mean {near[0]}?" if near else "."
         known = ", ".join(SHORT)
         raise RigFileError(f"required uncertainty {text!r}: unknown parameter {name!r}{hint} Known: {known}")
-    unit = PARAMETER_UNITS[full]
+    unit = PARAMETERS[full].unit
     match = _FORM.fullmatch(amount)
     given = re.sub(r"[\s·*]+", "", match[2]) if match else ""
     wanted = "" if unit == "1" else unit.replace(" ", "")

@@ -152,3 +152,81 @@ def test_windows_before_those_that_one_rate_fits_limit_what_two_rates_could_stil
     for width in (0.0045, 0.006, 0.0065, 0.009):
         assert 0.012 < bound(edges, np.array(values), width, 6.0).remaining < 0.1
     assert bound(edges[7:], np.array(values[7:]), 0.006, 6.0).remaining > 0.5
+
+
+def average(rate: float, begin: float, end: float) -> float:
+    """Mean of e^{−rate t} from begin to end."""
+    return (math.exp(-rate * begin) - math.exp(-rate * end)) / (rate * (end - begin))
+
+
+def approach(rate: float, count: int) -> np.ndarray:
+    """Window means of an approach with 1 left at the end of the last window."""
+    return means(lambda t: np.exp(-rate * t), windows(count))
+
+
+TWO_RATES = approach(0.1, 15) + 1e-3 * approach(1.0, 15)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("rate", [0.1, 0.2, 0.4])
+def test_a_clear_approach_is_bounded_closely(rate: float, sign: float) -> None:
+    found = bound(windows(12), sign * approach(rate, 12), 1e-6, 3.0)
+    assert 1.0 <= found.remaining < (1.35 if rate > 0.15 else 1.6)
+    assert found.rate_per_s == pytest.approx(rate, rel=0.15)
+    assert found.mean_off / found.remaining == pytest.approx(average(found.rate_per_s, -3.0, 0.0), rel=0.03)
+    assert found.seen_s == pytest.approx(12 * WINDOW_S)
+
+
+def test_a_straight_line_and_growth_have_no_bound() -> None:
+    for values in (np.arange(12.0), -np.arange(12.0), np.exp(0.3 * np.arange(12.0))):
+        found = bound(windows(12), values, 1e-3, 2.0)
+        assert (found.remaining, found.mean_off, found.rate_per_s) == (math.inf, math.inf, 0.0)
+        assert 9.0 < found.seen_s < 12.5
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_exact_growth_at_any_rate_has_no_bound(sign: float) -> None:
+    for rate in np.geomspace(0.03, 0.6, 25):
+        values = [sign * average(-rate, a, b) for a, b in windows(20) - 20 * WINDOW_S]
+        assert bound(windows(20), np.array(values), 1e-9, 2.0).remaining == math.inf
+
+
+def test_a_long_straight_line_is_seen_as_a_whole() -> None:
+    assert bound(windows(30), np.arange(30.0), 1e-9, 2.0).seen_s == pytest.approx(30 * WINDOW_S)
+
+
+def test_a_swing_that_does_not_decay_moves_to_both_sides() -> None:
+    edges = windows(18)
+    values = np.array([(math.sin(1.3 * b) - math.sin(1.3 * a)) / 1.3 for a, b in edges])
+    found = bound(edges, values, 1e-3, 2.0)
+    assert 1.7 < found.remaining < 3.0
+
+
+def test_a_bound_does_not_depend_on_a_constant_part() -> None:
+    for values in (1e-2 * approach(2.0, 12), TWO_RATES[-12:], approach(0.2, 12), np.zeros(12)):
+        plain = bound(windows(12), values, 1e-6, 2.0)
+        for share in (-3.0, 4.0):
+            moved = values + share * max(1.0, float(np.ptp(values)))
+            assert bound(windows(12), moved, 1e-6, 2.0).remaining == pytest.approx(plain.remaining, rel=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e3])
+def test_a_bound_scales_with_means_and_width(scale: float) -> None:
+    moving = np.zeros(12)
+    moving[0] = 2.0001
+    rough = np.array([1.0, -1, -1, 1, 1, 1, -1, 1, -1])
+    for values, width in (
+        (moving, 1.0),
+        (np.zeros(12), 1.0),
+        (rough, 1e-4),
+        (TWO_RATES, 1e-4),
+        (1e-2 * approach(2.0, 12), 1e-9),
+        (approach(0.2, 12), 1e-3),
+        (np.exp(0.3 * np.arange(12.0)), 1e-3),
+        (means(lambda t: np.exp(-0.1 * t) * np.cos(1.3 * t), windows(12)), 1e-3),
+    ):
+        plain = bound(windows(len(values)), values, width, 2.0)
+        scaled = bound(windows(len(values)), scale * values, scale * width, 2.0)
+        assert scaled.remaining == pytest.approx(scale * plain.remaining, rel=1e-6)
+        assert scaled.mean_off == pytest.approx(scale * plain.mean_off, rel=1e-6)
+        assert (scaled.rate_per_s, scaled.seen_s) == pytest.approx((plain.rate_per_s, plain.seen_s))

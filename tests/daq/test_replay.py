@@ -69,7 +69,7 @@ def test_samples_come_in_the_order_of_the_file_where_their_times_step_back(
         path = log.finish({})
     with open_log(path) as opened:
         rows = stored.StoredRows(opened, "tacho")
-        parts = [rows.take(33)["sequence"] for _ in range(13)]
+        parts = [rows.read_next(33)["sequence"] for _ in range(13)]
     assert np.array_equal(np.concatenate(parts), number)
 
 

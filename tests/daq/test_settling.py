@@ -1,5 +1,6 @@
 """Settled or not: decay, growth, creep and slip, with the rig's noise and quantisation."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -253,3 +254,220 @@ def test_lasers_that_wander_do_not_hide_an_orbit_or_pendulums_that_move() -> Non
             result = settled(RotorSignals(*data), angle_step_rad=STEP)
             assert not result.settled
             assert which in result.why
+
+
+TURNS = 8  # revolutions in a window of at least 1 s at 49 rad/s
+WINDOW_S = TURNS * 2 * math.pi / SPEED
+DEGREE = math.radians(1.0)
+
+
+def average(rate: float, begin: float, end: float) -> float:
+    """Mean of e^{−rate t} from begin to end."""
+    return (math.exp(-rate * begin) - math.exp(-rate * end)) / (rate * (end - begin))
+
+
+def clean(offset, *, amplitude=lambda t: 1e-3 + 0 * t, duration: float = 30.0, speed=lambda t: SPEED * t):
+    """Signals without noise and rounding: A at offset(t), B opposite at rest; x and 0.7 times as much along y."""
+    t = np.arange(0, duration, 2e-3)
+    marks = np.arange(0, duration, 2 * math.pi / SPEED)
+    laser = np.arange(0, duration, 1e-3)
+    angles = np.stack([offset(t), math.pi + 0 * t], axis=1)
+    x, y = amplitude(laser) * np.cos(speed(laser)), 0.7 * amplitude(laser) * np.sin(speed(laser))
+    return t, angles, marks, speed(marks), laser, x, laser, y
+
+
+def released(change_a: float, change_b: float = 0.0, *, at: float = 15.0, earlier: float = 0.0):
+    data = list(clean(lambda t: 0 * t))
+    after = (data[0] > at)[:, None]
+    before = (data[0] < at - 0.55)[:, None]
+    data[1] = data[1] + after * [change_a, change_b] + before * [earlier, 0.0]
+    return data
+
+
+def test_missing_signals_are_named() -> None:
+    data = clean(lambda t: 0 * t)
+    empty = np.full_like(data[1], np.nan)
+    assert settled(RotorSignals(data[0], empty, *data[2:])).why == "too many samples of the pendulum angles are missing"
+    silent = np.full_like(data[7], np.nan)
+    assert settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
+    assert locked_settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
+
+
+def test_span_and_drifts_are_those_of_the_windows() -> None:
+    data = clean(lambda t: 0.5 * DEGREE * np.exp(-0.3 * (t - 29.877)), amplitude=lambda t: 1e-3 + 2e-8 * t)
+    found = settled(RotorSignals(*data), angle_step_rad=0.0)
+    last = data[2][-1]
+    step = (
+        0.5
+        * DEGREE
+        * abs(
+            average(0.3, last - WINDOW_S - 29.877, last - 29.877)
+            - average(0.3, last - 2 * WINDOW_S - 29.877, last - WINDOW_S - 29.877)
+        )
+    )
+    assert found.drift_rad == pytest.approx(step, rel=1e-3)
+    assert found.drift_m == pytest.approx(2e-8 * WINDOW_S, rel=1e-3)
+    assert found.span_s == pytest.approx(29 * WINDOW_S)
+    since = settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=10.0)
+    assert since.span_s == pytest.approx(19 * WINDOW_S)
+
+
+def test_nine_windows_are_enough_and_eight_are_not() -> None:
+    data = clean(lambda t: 1.0 + 0 * t)
+    end = data[2][-1]
+    assert settled(
+        RotorSignals(*data), SettlingLimits(linger_s=0.0), release_time_s=end - 9.01 * WINDOW_S
+    ).span_s == pytest.approx(9 * WINDOW_S)
+    short = settled(RotorSignals(*data), release_time_s=end - 8.99 * WINDOW_S)
+    assert (short.settled, short.slipping, short.span_s, short.remaining_rad) == (False, False, 0.0, math.inf)
+    assert (short.remaining_m, short.more_s) == (math.inf, math.inf)
+    assert math.isnan(short.drift_rad)
+    assert math.isnan(short.drift_m)
+    assert short.why == "fewer than 9 windows of 1 s since release"
+    signals = [part[data[j - j % 2] <= 8.9 * WINDOW_S] for j, part in enumerate(data)]
+    assert locked_settled(RotorSignals(*signals)).why == "fewer than 9 windows of 1 s at speed"
+    enough = [part[data[j - j % 2] <= 9.2 * WINDOW_S] for j, part in enumerate(data)]
+    assert locked_settled(RotorSignals(*enough)).span_s == pytest.approx(9 * WINDOW_S)
+
+
+def test_the_sentence_has_remaining_change_limit_and_time() -> None:
+    data = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
+    found = settled(RotorSignals(*data), angle_step_rad=0.0)
+    left, rate = math.degrees(found.remaining_rad), 0.2
+    assert found.more_s == pytest.approx(math.log(left / 0.1) / rate, rel=0.1)
+    assert found.why == (
+        f"pendulum angles may still change by {left:.2g}°, the limit is 0.1°; about {math.ceil(found.more_s)} s more"
+    )
+    assert found.approaching
+    orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
+    found = settled(RotorSignals(*orbit), angle_step_rad=0.0)
+    left = 1e6 * found.remaining_m
+    assert left == pytest.approx(50.0, rel=0.4)
+    assert found.more_s == pytest.approx(math.log(left / 3.0) / rate, rel=0.1)
+    assert found.why == (
+        f"amplitudes may still change by {left:.2g} µm, the limit is 3 µm; about {math.ceil(found.more_s)} s more"
+    )
+    locked = locked_settled(RotorSignals(*orbit))
+    left = 1e6 * locked.remaining_m
+    assert locked.more_s == pytest.approx(math.log(left / 5.0) / rate, rel=0.1)
+    assert locked.why == (
+        f"amplitudes may still change by {left:.2g} µm, the limit is 5 µm; about {math.ceil(locked.more_s)} s more"
+    )
+    assert math.isnan(locked.drift_rad)
+    assert math.isnan(locked.remaining_rad)
+
+
+def test_the_longer_of_both_times_counts() -> None:
+    slow, fast = (lambda t: 1e-3 + 5e-5 * np.exp(-0.1 * (t - 30.0))), (lambda t: DEGREE * np.exp(-0.4 * (t - 30.0)))
+    both = settled(RotorSignals(*clean(fast, amplitude=slow)), angle_step_rad=0.0)
+    orbit = settled(RotorSignals(*clean(lambda t: 0 * t, amplitude=slow)), angle_step_rad=0.0)
+    angle = settled(RotorSignals(*clean(fast)), angle_step_rad=0.0)
+    assert both.more_s == pytest.approx(orbit.more_s)
+    assert both.more_s > 2 * angle.more_s > 0
+    assert both.why == angle.why.partition(";")[0] + both.why[both.why.index(";") :]
+
+
+def test_a_drift_is_named_per_window() -> None:
+    found = settled(RotorSignals(*clean(lambda t: 0.2 * DEGREE * t)), angle_step_rad=0.0)
+    assert found.why == f"pendulum angles drift by {0.2 * WINDOW_S:.2g}° per window and the drift does not shrink"
+    assert (found.more_s, found.approaching) == (math.inf, False)
+    moving = settled(RotorSignals(*clean(lambda t: 0 * t, amplitude=lambda t: 1e-3 + 2e-6 * t)), angle_step_rad=0.0)
+    assert moving.why == f"amplitudes drift by {2.0 * WINDOW_S:.2g} µm per window and the drift does not shrink"
+
+
+def test_slack_multiplies_both_limits() -> None:
+    angle = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
+    orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
+    assert "the limit is 0.3°" in settled(RotorSignals(*angle), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
+    assert "the limit is 9 µm" in settled(RotorSignals(*orbit), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
+    assert (
+        settled(RotorSignals(*angle), SettlingLimits(slack=20.0), angle_step_rad=0.0).why
+        == "angles and amplitudes are steady"
+    )
+
+
+def test_mean_off_is_that_of_the_stated_period() -> None:
+    data = clean(
+        lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)), amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0))
+    )
+    for seconds in (2.0, 6.0):
+        found = settled(RotorSignals(*data), SettlingLimits(average_s=seconds), angle_step_rad=0.0)
+        more = average(0.2, -seconds, 0.0)
+        assert found.mean_off_rad / found.remaining_rad == pytest.approx(more, rel=0.1)
+        assert found.mean_off_m / found.remaining_m == pytest.approx(more, rel=0.1)
+    assert settled(RotorSignals(*data), angle_step_rad=0.0) == settled(
+        RotorSignals(*data), SettlingLimits(average_s=2.0), angle_step_rad=0.0
+    )
+
+
+@pytest.mark.parametrize("gain", [2.2e-4, -2.2e-4])
+def test_the_change_of_speed_is_signed_and_limited_to_a_thousandth(gain: float) -> None:
+    """Mean speed of the last two of nine windows less that of the first two: seven windows apart."""
+
+    def phase(per_s: float):
+        return lambda t: SPEED * (t + 0.5 * per_s * (t - 25.0) ** 2)
+
+    found = settled(RotorSignals(*clean(lambda t: 0 * t, speed=phase(gain))), angle_step_rad=0.0)
+    percent = float(found.why.partition("by ")[2].partition(" %")[0])
+    assert percent == pytest.approx(100 * gain * 7 * WINDOW_S, abs=0.01)
+    assert found.why.startswith("the speed still changes, by ")
+    assert (found.settled, found.approaching) == (False, False)
+    less = settled(RotorSignals(*clean(lambda t: 0 * t, speed=phase(0.55 * gain))), angle_step_rad=0.0)
+    assert less.settled, less.why
+
+
+@pytest.mark.parametrize(
+    ("change_a", "change_b", "held"),
+    [
+        (4.5, 0.0, True),
+        (-4.5, 0.0, True),
+        (5.5, 0.0, False),
+        (-5.5, 0.0, False),
+        (0.0, 4.5, True),
+        (0.0, 5.5, False),
+        (40.0, 40.0, True),
+        (40.0, 34.0, False),
+        (361.0, 0.0, True),
+        (-361.0, 0.0, True),
+        (180.0, 0.0, False),
+    ],
+)
+def test_a_pair_with_its_gap_at_release_is_not_accepted(change_a: float, change_b: float, held: bool) -> None:
+    found = settled(
+        RotorSignals(*released(DEGREE * change_a, DEGREE * change_b)), angle_step_rad=0.0, release_time_s=15.0
+    )
+    assert found.settled != held, found.why
+    assert ("unstable balance" in found.why) == held
+    assert not found.approaching
+
+
+def test_the_gap_at_release_is_that_of_the_last_half_second() -> None:
+    data = released(0.0, earlier=DEGREE * 90)
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
+    data[1][(data[0] > 14.7) & (data[0] < 14.9), 1] = np.nan
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
+    data[1][data[0] <= 15.0] = np.nan
+    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
+
+
+def test_a_pair_that_stays_for_half_a_minute_is_accepted() -> None:
+    data = clean(lambda t: 0 * t, duration=41.0)
+    end = data[2][-1]
+    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 30.5).settled
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 29.5).settled
+
+
+def test_a_turning_pendulum_is_named_with_its_turns() -> None:
+    for rate, sign in ((1.3, "+"), (-1.3, "−".replace("−", "-"))):
+        data = list(clean(lambda t: 0 * t))
+        data[1] = data[1] + np.stack([0 * data[0], rate * data[0]], axis=1)
+        found = settled(RotorSignals(*data), angle_step_rad=0.0)
+        turns = 1.3 * 8 * WINDOW_S / (2 * math.pi)
+        assert found.why == f"pendulum B slips: {sign}{turns:.1f} turns relative to the rotor in the last windows"
+        assert (found.slipping, found.settled, found.more_s, found.approaching) == (True, False, math.inf, False)
+
+
+def test_a_locked_orbit_is_judged_without_angles() -> None:
+    signals = RotorSignals(*clean(lambda t: 0 * t))
+    silent = dataclasses.replace(signals, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
+    assert locked_settled(silent) == locked_settled(signals)
