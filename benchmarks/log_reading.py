@@ -96,7 +96,7 @@ def add_flush(writer: BlockWriter, ids: dict[str, int], number: int) -> None:
     now = T0 + (number + 1) * FLUSH_NS
     k, j = np.arange(200 * number, 200 * number + 200), np.arange(50 * number, 50 * number + 50)
     for channel in (ch.LASER_X, ch.LASER_Y):
-        writer.add_block(ids[channel.topic], now, laser_times(k), k, channel.pack(laser(k)))
+        writer.add_samples(ids[channel.topic], now, laser_times(k), k, channel.item, laser(k))
     counts = np.round(2048 + 900 * np.sin(0.004 * j)).astype(np.int32)
     angles = {
         "theta3_rad": counts * (2 * np.pi / 4096),
@@ -108,9 +108,9 @@ def add_flush(writer: BlockWriter, ids: dict[str, int], number: int) -> None:
         "flags": 96,
     }
     times = T0 + j * 1_000_000
-    writer.add_block(ids["pendulums"], now, times, j, ch.PENDULUMS.pack(angles))
+    writer.add_samples(ids["pendulums"], now, times, j, ch.PENDULUMS.item, angles)
     motor = {"speed_rpm": 600 + rng.normal(0, 0.1, 50), "target_rpm": 600.0, "statusword": 0x237}
-    writer.add_block(ids["motor"], now, times, j, ch.MOTOR.pack(motor))
+    writer.add_samples(ids["motor"], now, times, j, ch.MOTOR.item, motor)
     if number % 2:
         mark = ch.TACHO.pack({"revolutions": [number // 2], "node_time_us": [50_000 * number]})
         writer.add_block(ids["tacho"], now, now, number, mark)

@@ -3,8 +3,8 @@
     python -m benchmarks.log_speed [--quick] [--json] [--repeats N] [--folder DIR]
 
 Every figure is the median of interleaved repeats and includes making the file whole and one fdatasync. Samples are a
-laser's, one message each with CRC and index (`benchmarks.laser_samples`); ours are packed from columns within the
-time, the peers get ready-made messages. Frames are those of a drive (`benchmarks.can_frames`).
+laser's, one message each with CRC and index (`benchmarks.laser_samples`); ours are columns, the peers
+get ready-made messages. Frames are those of a drive (`benchmarks.can_frames`).
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ def sync(path: Path) -> None:
 
 
 def write_ours(path: Path, blocks: list[LaserSamples], compression: Literal["zstd", "none"]) -> None:
-    """Pack the columns of each block and write them."""
+    """Write the columns of each block."""
     with synced(path) as stream:
         writer = BlockWriter(stream, compression)
         writer.start()
         schema = writer.register_schema(LASER.schema_name, "protobuf", LASER.file_descriptor_set())
         channel = writer.register_channel(LASER.topic, "protobuf", schema)
         for block in blocks:
-            packed = LASER.pack(block.columns)
-            writer.add_block(channel, block.log_time_ns, block.time_ns, block.sequence, packed)
+            heads = block.log_time_ns, block.time_ns, block.sequence
+            writer.add_samples(channel, *heads, LASER.item, block.columns)
         writer.finish()
 
 

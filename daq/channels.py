@@ -57,7 +57,7 @@ class Channel:
             parts += [(_TAG + name, "u1"), (name, _KINDS[kind][0])]
         return np.dtype(parts)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Field names in field order."""
         return tuple(name for name, _ in self.fields)
@@ -67,12 +67,22 @@ class Channel:
         return {name: number << 3 | _KINDS[kind][1] for number, (name, kind) in enumerate(self.fields, 1)}
 
     @cached_property
-    def _only_tags(self) -> NDArray[Any]:
-        """One message of zeros as opaque bytes. Repeating it sets the tags of a block in one pass."""
+    def item(self) -> NDArray[Any]:
+        """One message of zeros: structured array (1,) of `dtype` with all tags set."""
         row = np.zeros(1, self.dtype)
         for name, tag in self._tags.items():
             row[_TAG + name] = tag
-        return row.view(f"V{self.dtype.itemsize}")
+        row.flags.writeable = False
+        return row
+
+    def check_names(self, columns: Mapping[str, ArrayLike]) -> None:
+        """Check that there are values for all fields and no others.
+
+        Raises:
+            ValueError: a field is missing or unknown.
+        """
+        if columns.keys() != self._tags.keys():
+            raise ValueError(f"{self.topic}: expected the fields {self.names}, got {tuple(columns)}")
 
     def pack(self, columns: Mapping[str, ArrayLike]) -> NDArray[Any]:
         """Convert a block of samples to messages.
@@ -86,12 +96,11 @@ class Channel:
         Raises:
             ValueError: a field is missing or unknown, or the lengths differ.
         """
-        if columns.keys() != self._tags.keys():
-            raise ValueError(f"{self.topic}: expected the fields {self.names}, got {tuple(columns)}")
+        self.check_names(columns)
         arrays = [np.asarray(columns[name]) for name in self.names]
-        if arrays[0].ndim != 1 or any(array.shape != arrays[0].shape for array in arrays):
+        if arrays[0].ndim != 1 or len({array.shape for array in arrays}) > 1:
             arrays = [array.reshape(-1) for array in np.broadcast_arrays(*arrays)]
-        out = self._only_tags.repeat(len(arrays[0])).view(self.dtype)
+        out = np.frombuffer(bytearray(self.item.tobytes() * len(arrays[0])), self.dtype)
         for name, array in zip(self.names, arrays, strict=True):
             out[name] = array
         return out

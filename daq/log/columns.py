@@ -13,9 +13,9 @@ from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.blocks import fields
 from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, ChunkTable
+from daq.mcap.open_chunk import MESSAGE_HEAD
 from daq.mcap.records import DamageError
 from daq.mcap.scan import Messages, split_chunk
-from daq.mcap.writer import MESSAGE_HEAD
 from rig_basics.texts import number_of
 
 _ROWS = 2**14  # gathered at a time: they stay in the processor's cache until they are columns

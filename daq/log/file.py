@@ -167,8 +167,10 @@ class LogFile:
 
     def batch(self, batch: Batch, host_ns: int | NDArray[np.int64]) -> None:
         """Write decoded samples that arrived at one host time, or each at its own (n,)."""
-        messages = batch.channel.pack(batch.columns)
-        self._writer.add_block(self._ids[batch.channel.topic], host_ns, batch.time_ns, batch.sequence, messages)
+        channel = batch.channel
+        channel.check_names(batch.columns)
+        heads = host_ns, batch.time_ns, batch.sequence
+        self._writer.add_samples(self._ids[channel.topic], *heads, channel.item, batch.columns)
 
     def event(self, event: DeviceEvent, host_ns: int) -> None:
         """Write an event; its own time is ``facts["time_ns"]`` if present."""

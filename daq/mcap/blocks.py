@@ -22,23 +22,18 @@ def times(data: bytes | memoryview, offsets: NDArray[np.int64]) -> tuple[NDArray
 
 
 class Runs:
-    """Records found or written one after the other, in less than 2^32 bytes; equally long ones are kept as one run."""
+    """Records found one after the other, in less than 2^32 bytes; equally long ones are kept as one run."""
 
     def __init__(self) -> None:
         self._table = array("I")  # half the memory of larger numbers: a hostile chunk has two million runs
 
-    def add(self, offset: int, count: int, size: int, channel_id: int = 0) -> None:
+    def add(self, offset: int, count: int, size: int) -> None:
         """Add `count` records of `size` bytes each from `offset` on."""
-        self._table.extend((offset, count, size, channel_id))
-
-    def channel_ids(self) -> NDArray[np.uint32]:
-        """Return the channel id of each of the n records, (n,)."""
-        _, counts, _, channel_ids = self._columns()
-        return np.repeat(channel_ids, counts)
+        self._table.extend((offset, count, size))
 
     def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return offset and size of each of the n records, (n,)."""
-        starts, counts, sizes, _ = self._columns()
+        starts, counts, sizes = np.frombuffer(self._table, np.uint32).reshape(-1, 3).T
         firsts = np.cumsum(counts, dtype=np.int64)
         firsts -= counts
         firsts *= sizes
@@ -48,6 +43,3 @@ class Runs:
         offsets *= each
         offsets += np.repeat(firsts, counts)
         return offsets, each
-
-    def _columns(self) -> NDArray[np.uint32]:
-        return np.frombuffer(self._table, np.uint32).reshape(-1, 4).T

@@ -10,8 +10,8 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap.blocks import Runs, fields, times
+from daq.mcap.open_chunk import MESSAGE_HEAD
 from daq.mcap.records import RECORD_HEAD, DamageError
-from daq.mcap.writer import MESSAGE_HEAD
 
 _EIGHT = struct.Struct("<Q")
 

@@ -19,9 +19,10 @@ from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
 from daq.mcap.chunks import EVER_NS, INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
+from daq.mcap.open_chunk import MESSAGE_HEAD
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, parse
 from daq.mcap.scan import record_places
-from daq.mcap.writer import MAGIC, MESSAGE_HEAD
+from daq.mcap.writer import MAGIC
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _LONGEST_DATA_END_BYTES = 64

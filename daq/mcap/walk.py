@@ -17,6 +17,7 @@ from daq.mcap.checksum import crc32
 from daq.mcap.chunks import CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import FileDamage, Held, Place
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap.open_chunk import MESSAGE_HEAD
 from daq.mcap.records import (
     RECORD_HEAD,
     AttachmentPlace,
@@ -31,7 +32,7 @@ from daq.mcap.records import (
 from daq.mcap.scan import Messages, record_places
 from daq.mcap.table import TableBuilder, TakenChunk
 from daq.mcap.window import Window, indexes_behind
-from daq.mcap.writer import MAGIC, MESSAGE_HEAD
+from daq.mcap.writer import MAGIC
 from rig_basics.texts import number_of
 
 _METADATA_LIMIT_BYTES = 64 * 2**20

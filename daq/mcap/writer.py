@@ -12,6 +12,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, BinaryIO, Literal, cast
 
 import numpy as np
@@ -21,8 +22,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
 
-from daq.mcap.blocks import Runs, times
 from daq.mcap.checksum import crc32
+from daq.mcap.open_chunk import LOG_NS, MESSAGE_HEAD, PUBLISH_NS, SEQUENCE, OpenChunk
 from rig_basics.texts import number_of, storable
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -35,12 +36,10 @@ LIBRARY = "self-balancing rotor rig, log layout 2"
 in the header, had none for metadata; its files are read like those of other writers."""
 TIMES = "times"
 """Name of the metadata record that contains the largest differences between sample times and log times."""
-MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel id, sequence, log time and publish time in front of a message."""
 _ZSTD_LEVEL = 3  # 10 % smaller files than level 1 in 20 % more time; higher levels take twice the time for no gain
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-_INDEX_HEAD = struct.Struct("<BQHI")
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_CHUNK_INDEX_HEAD = struct.Struct("<BQQQQQI")
+_MAP_ENTRY = struct.Struct("<HQ")
 
 
 def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
@@ -108,20 +107,12 @@ class BlockWriter:
             raise ValueError(f"expected compression 'zstd' or 'none', got {compression!r}")
         self._stream = stream
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL) if compression == "zstd" else None
-        self._chunk_bytes = chunk_bytes
+        self._chunk = OpenChunk(chunk_bytes)
         self._library = library
         self._offset = self._crc = 0
         self._closed = ""  # reason why nothing can be written any more
-        self._parts: list[bytes] = []  # records of the open chunk
-        self._size = 0
-        self._messages = Runs()  # among them
-        self._is_filled = False  # repeated definitions alone do not make a chunk
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
-        self._blocks: dict[int, _Block] = {}  # by channel
-        self._counts: dict[int, int] = {}
-        self._span = (2**64 - 1, 0)
-        self._late = self._early = 0  # largest log time − publish time, and publish time − log time, ns
         self._chunk_indexes: list[bytes] = []  # encoded: an hour has 72 000
         self._attachment_indexes: list[records.AttachmentIndex] = []
         self._metadata_indexes: list[records.MetadataIndex] = []
@@ -188,27 +179,48 @@ class BlockWriter:
         Raises:
             ValueError: unknown channel, negative times, values that are not integers, or different lengths.
         """
-        self._check_channel(channel_id)
         if messages.ndim != 1:
             raise ValueError(f"expected messages of shape (n,), got {messages.shape}")
-        count, size = len(messages), MESSAGE_HEAD.size + messages.dtype.itemsize
-        log, publish = _column("log times", log_time_ns, count), _column("publish times", publish_time_ns, count)
-        numbers = _column("sequences", sequence, count)
-        least = min(of.item() if of.size == 1 else int(of.min(initial=0)) for of in (log, publish))
-        if least < 0:
-            raise ValueError(f"expected log and publish times in ns since 1970, got {least}")
-        block = self._blocks.get(channel_id)
-        if block is None or block.record_bytes != size:
-            block = self._blocks[channel_id] = _Block(channel_id, size, max(1, self._chunk_bytes // size))
-        done = 0
+        item = _opaque(messages.itemsize)
+        columns = {name: messages.view(item.dtype[name]) for name in item.dtype.names or ()}
+        heads = log_time_ns, publish_time_ns, sequence
+        self._add_rows(channel_id, item, _heads(*heads, len(messages)) | columns, len(messages))
+
+    def add_samples(
+        self,
+        channel_id: int,
+        log_time_ns: ArrayLike,
+        publish_time_ns: NDArray[np.int64],
+        sequence: ArrayLike,
+        item: NDArray[Any],
+        columns: Mapping[str, ArrayLike],
+    ) -> None:
+        """Add n messages of one layout by their fields; other arguments as `add_block`.
+
+        Args:
+            publish_time_ns: (n,).
+            item: structured array (1,): a message with the values of the fields that are the same in all; for speed
+                the same array at each call.
+            columns: values (n,), or one for all, of the other fields by name.
+
+        Raises:
+            ValueError: as `add_block`.
+        """
+        count = len(publish_time_ns)
+        heads = _heads(log_time_ns, publish_time_ns, sequence, count)
+        self._add_rows(channel_id, item, heads | {name: np.asarray(of) for name, of in columns.items()}, count)
+
+    def _add_rows(self, channel_id: int, item: NDArray[Any], columns: dict[str, NDArray[Any]], count: int) -> None:
+        self._check_channel(channel_id)
+        size, done = MESSAGE_HEAD.size + item.itemsize, 0
         while done < count:
             self._make_room(size)
-            rows = min(max(1, (self._chunk_bytes - self._size) // size), count - done)
-            part = slice(done, done + rows)
-            columns = [column if column.size == 1 else column[part] for column in (log, publish, numbers)]
-            self._messages.add(self._size, rows, size, channel_id)
-            self._add(block.filled(rows, columns, messages[part]))
-            done += rows
+            part = slice(done, min(done + self._chunk.fitting(size), count))
+            rows = columns
+            if part != slice(0, count):
+                rows = {name: values[part] if values.size > 1 else values for name, values in columns.items()}
+            self._chunk.add_rows(channel_id, item, rows, part.stop - done)
+            done = part.stop
 
     def add_message(self, channel_id: int, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes) -> None:
         """Add one message of any size; sequence is taken modulo 2**32.
@@ -219,11 +231,8 @@ class BlockWriter:
         self._check_channel(channel_id)
         if not 0 <= min(log_time_ns, publish_time_ns) <= max(log_time_ns, publish_time_ns) < 2**64:
             raise ValueError(f"expected times in ns since 1970, got {log_time_ns} and {publish_time_ns}")
-        size = MESSAGE_HEAD.size + len(data)
-        self._make_room(size)
-        fields = channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns
-        self._messages.add(self._size, 1, size, channel_id)
-        self._add(MESSAGE_HEAD.pack(Opcode.MESSAGE, size - 9, *fields) + data)
+        self._make_room(MESSAGE_HEAD.size + len(data))
+        self._chunk.add_message(channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish_time_ns, data)
 
     def copy_chunk(self, chunk: CopiedChunk) -> None:
         """Add a whole chunk of another file unchanged, with a new message index; an open chunk is closed first.
@@ -244,7 +253,10 @@ class BlockWriter:
         if len(places) and places.max() + MESSAGE_HEAD.size > chunk.unpacked:
             raise ValueError(f"expected messages within {number_of(chunk.unpacked, 'byte')}, got one at {places.max()}")
         self._close_chunk()
-        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, publish, places))
+        for channel_id in np.unique(ids):
+            rows = ids == channel_id
+            self._chunk.index.add_rows(int(channel_id), log[rows], publish[rows], places[rows])
+        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc)
 
     def add_metadata(self, name: str, metadata: Mapping[str, str], checksum: bool = True) -> None:
         """Add a named table of texts.
@@ -286,7 +298,8 @@ class BlockWriter:
     def finish(self) -> None:
         """Write the times, the summary and the footer; nothing may be added afterwards."""
         self._close_chunk()
-        self.add_metadata(TIMES, {"most_late_ns": str(self._late), "most_early_ns": str(self._early)})
+        index = self._chunk.index
+        self.add_metadata(TIMES, {"most_late_ns": str(index.late_ns), "most_early_ns": str(index.early_ns)})
         self._write(encode_record(records.DataEnd(self._crc)))
         self._write(self._summary())
         self._closed = "the file is finished"
@@ -294,14 +307,15 @@ class BlockWriter:
 
     def _summary(self) -> bytes:
         """Return summary, summary offsets, footer and the end of the file."""
+        index = self._chunk.index
         statistics = records.Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
-            channel_message_counts=self._counts,
+            channel_message_counts=index.counts,
             chunk_count=len(self._chunk_indexes),
-            message_count=sum(self._counts.values()),
-            message_end_time=self._span[1],
-            message_start_time=min(self._span),
+            message_count=sum(index.counts.values()),
+            message_end_time=index.last_ns,
+            message_start_time=min(index.first_ns, index.last_ns),
             metadata_count=len(self._metadata_indexes),
             schema_count=len(self._schemas),
         )
@@ -337,7 +351,7 @@ class BlockWriter:
     def _add_schema(self, schema: records.Schema) -> None:
         self._check_id(schema, self._schemas, 1)
         self._schemas[schema.id] = schema
-        self._add(encode_record(schema))
+        self._add(schema)
 
     def _add_channel(self, channel: records.Channel) -> None:
         if channel.schema_id != 0 and channel.schema_id not in self._schemas:
@@ -346,63 +360,50 @@ class BlockWriter:
             )
         self._check_id(channel, self._channels, 0)
         self._channels[channel.id] = channel
-        self._add(encode_record(channel))
+        self._add(channel)
 
     def _check_id(self, record: records.Schema | records.Channel, known: Mapping[int, Any], lowest: int) -> None:
         self._check_open()
         if record.id in known or not lowest <= record.id <= 0xFFFF:
             raise ValueError(f"expected a new id of {lowest} … 65535, got {record.id} of {record}")
 
-    def _add(self, data: bytes) -> None:
-        """Add records to the open chunk."""
-        self._parts.append(data)
-        self._size += len(data)
-        self._is_filled = True
+    def _add(self, record: records.McapRecord) -> None:
+        """Add a definition to the open chunk."""
+        self._chunk.add(encode_record(record))
 
     def _make_room(self, record_bytes: int) -> None:
         """Close the open chunk if this record would exceed the size of a chunk."""
-        if self._size + record_bytes > self._chunk_bytes:
+        if not self._chunk.fitting(record_bytes):
             self._close_chunk()
 
     def _close_chunk(self) -> None:
         """Write the open chunk with its message indexes, if it is not empty."""
         self._check_open()
-        if not self._is_filled:
+        if not self._chunk.is_filled:
             return
-        data = b"".join(self._parts)
+        data = self._chunk.take()
         packed, name = (self._compressor.compress(data), "zstd") if self._compressor else (data, "")
-        offsets, _ = self._messages.places()
-        messages = self._messages.channel_ids(), *times(data, offsets), offsets
-        self._put_chunk(packed, name, len(data), crc32(data), messages)
-        self._parts, self._size, self._messages = [], 0, Runs()
+        self._put_chunk(packed, name, len(data), crc32(data))
         if len(self._chunk_indexes) % RESTATE_EVERY == 0:
-            self._add(b"".join(map(encode_record, self._schemas.values())))
-            self._add(b"".join(map(encode_record, self._channels.values())))
-        self._is_filled = False
+            for record in (*self._schemas.values(), *self._channels.values()):
+                self._chunk.add(encode_record(record), is_repeated=True)
 
-    def _put_chunk(
-        self, packed: bytes, compression: str, unpacked: int, crc: int, messages: tuple[NDArray[Any], ...]
-    ) -> None:
-        """Write a chunk and its message indexes.
-
-        Args:
-            messages: channel ids, log times, publish times and offsets of its n messages, (n,) each.
-        """
-        ids, log, publish, places = messages
-        name = compression.encode()
+    def _put_chunk(self, packed: bytes, compression: str, unpacked: int, crc: int) -> None:
+        """Write a chunk, and the message indexes of the messages added since the last one."""
+        indexes, starts, (first, last) = self._chunk.index.take()
+        name = len(compression).to_bytes(4, "little") + compression.encode()
         length = _CHUNK_HEAD.size + len(name) + 8 + len(packed)
-        indexes, starts = _message_indexes(ids, log, places, self._counts)
-        offsets = {channel_id: self._offset + length + start for channel_id, start in starts.items()}
-        first = last = 0
-        if len(log):
-            first, last = int(log.min()), int(log.max())
-            self._span = min(self._span[0], first), max(self._span[1], last)
-            both = np.minimum(log, publish)
-            self._late = max(self._late, int((log - both).max()))
-            self._early = max(self._early, int((publish - both).max()))
-        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, first, last, unpacked, crc, len(name))
-        place = length, self._offset, compression, len(packed), last, len(indexes), offsets, first, unpacked
-        self._chunk_indexes.append(encode_record(records.ChunkIndex(*place)))
+        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length - 9, first, last, unpacked, crc)
+        after = self._offset + length
+        offsets = b"".join(_MAP_ENTRY.pack(channel_id, after + start) for channel_id, start in starts.items())
+        place = first, last, self._offset, length, len(offsets)
+        self._chunk_indexes.append(
+            _CHUNK_INDEX_HEAD.pack(Opcode.CHUNK_INDEX, 60 + len(offsets) + len(name), *place)
+            + offsets
+            + len(indexes).to_bytes(8, "little")
+            + name
+            + struct.pack("<QQ", len(packed), unpacked)
+        )
         self._write(b"".join((head, name, len(packed).to_bytes(8, "little"), packed, indexes)))
 
     def _write(self, data: bytes) -> None:
@@ -418,61 +419,29 @@ class BlockWriter:
         self._crc = crc32(data, self._crc)
 
 
-def _message_indexes(
-    ids: NDArray[Any], log: NDArray[np.uint64], places: NDArray[Any], counts: dict[int, int]
-) -> tuple[bytes, dict[int, int]]:
-    """Return the message index records of a chunk, one per channel, entries in order of log time; add to `counts`.
-
-    Returns:
-        The concatenated records, and the offset of each channel's record.
-    """
-    entries = np.empty(len(ids), _INDEX_ENTRY)
-    entries["log_time"], entries["offset"] = log, places
-    order = np.argsort(ids, kind="stable")
-    if (log[1:] < log[:-1]).any():
-        order = np.lexsort((log, ids))
-    data, numbers = entries[order].tobytes(), np.bincount(ids)
-    parts, starts, at, end = list[bytes](), dict[int, int](), 0, 0
-    for channel_id in np.flatnonzero(numbers).tolist():
-        count = int(numbers[channel_id])
-        size = count * _INDEX_ENTRY.itemsize
-        parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel_id, size), data[at : at + size]]
-        starts[channel_id], at, end = end, at + size, end + _INDEX_HEAD.size + size
-        counts[channel_id] = counts.get(channel_id, 0) + count
-    return b"".join(parts), starts
+@lru_cache
+def _opaque(size: int) -> NDArray[Any]:
+    """Return the layout of messages of `size` bytes whose fields are not distinguished."""
+    return np.zeros(1, [("message", f"V{size}")] if size else [])
 
 
-class _Block:
-    """Records of one channel and one size, filled again for each block; what is equal in all is written once."""
-
-    def __init__(self, channel_id: int, record_bytes: int, rows: int) -> None:
-        self.record_bytes = record_bytes
-        size = record_bytes - MESSAGE_HEAD.size
-        fields = [("head", "V11"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8"), ("message", f"V{size}")]
-        self._records = np.empty(rows, fields if size else fields[:-1])
-        self._records["head"] = np.void(MESSAGE_HEAD.pack(Opcode.MESSAGE, record_bytes - 9, channel_id, 0, 0, 0)[:11])
-        self._columns = [self._records[name] for name in ("log", "publish", "sequence")]
-        self._messages = self._records["message"] if size else None
-
-    def filled(self, count: int, columns: list[NDArray[np.int64]], messages: NDArray[Any]) -> bytes:
-        """Return `count` records; log times, publish times and sequences are one for all or (count,)."""
-        for column, values in zip(self._columns, columns, strict=True):
-            column[:count] = values
-        if self._messages is not None:
-            self._messages[:count] = np.ascontiguousarray(messages).view(self._messages.dtype)
-        return self._records[:count].tobytes()
-
-
-def _column(what: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Return one value or `count` of them as signed numbers of 64 bits.
+def _heads(log_ns: ArrayLike, publish_ns: ArrayLike, sequence: ArrayLike, count: int) -> dict[str, NDArray[Any]]:
+    """Return log times, publish times and sequences as columns of `count` messages.
 
     Raises:
-        ValueError: another shape, or values that are not integers.
+        ValueError: another shape than () or (count,), values that are not integers, or times before 1970.
     """
-    array: NDArray[Any] = np.asarray(values)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (1,), (count,)):
-        raise ValueError(f"expected {what} as one integer or {count}, got {array.dtype} of shape {array.shape}")
-    return array.astype(np.int64, copy=False)
+    columns = {LOG_NS: np.asarray(log_ns), PUBLISH_NS: np.asarray(publish_ns), SEQUENCE: np.asarray(sequence)}
+    for name, array in columns.items():
+        if array.dtype.kind not in "iu" or array.shape not in ((), (1,), (count,)):
+            got = f"{array.dtype} of shape {array.shape}"
+            raise ValueError(f"expected {name} as one integer or {count}, got {got}")
+        if name != SEQUENCE:
+            times = array.astype(np.int64, copy=False)
+            least = times.item() if times.size == 1 else int(np.minimum.reduce(times, initial=0))
+            if least < 0:
+                raise ValueError(f"expected {name} in ns since 1970, got {least}")
+    return columns
 
 
 def _free_id(known: Mapping[int, Any]) -> int:
