@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from daq.acquisition.session import Session
-from daq.drivers.contract import AnswersOnRequest
 from daq.drivers.devices import devices_of
 from daq.guided_test_kinds import point_of
 from daq.guided_tests.controls import Controls
@@ -151,7 +150,7 @@ def _timed(simulation: Simulation, rig: Rig) -> Simulation:
     """
     if simulation.lockstep:
         return simulation
-    polled = [name for name, device in devices_of(rig.devices).items() if isinstance(device.driver, AnswersOnRequest)]
+    polled = [name for name, device in devices_of(rig.devices).items() if device.driver.poller is not None]
     if not polled:
         return simulation if simulation.time_scale else replace(simulation, time_scale=_UNPOLLED_SCALE)
     names = ", ".join(polled)

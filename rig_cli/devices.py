@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from daq.discovery.network import Announced
     from daq.discovery.ports import SerialPort
     from daq.discovery.search import Result
-    from daq.drivers.contract import Driver
+    from daq.drivers.driver import Driver
     from daq.transports import HostClock
 
 _OPENED = ("device", "unknown device", "silent")
@@ -111,7 +111,7 @@ def _searched(ports: Mapping[str, bool], drivers: Sequence[Driver], clock: HostC
     if not ports:
         return []
     for driver in drivers:
-        driver.prepare()
+        driver.load()
     shares, stopping = dict.fromkeys(ports, 0.0), Event()
 
     def search(port: str, ask: bool) -> Result:

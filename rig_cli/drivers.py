@@ -20,7 +20,7 @@ from rig_configs.errors import RigConfigError
 from rig_configs.setting_rows import rows_of, tables_inside
 
 if TYPE_CHECKING:
-    from daq.drivers.contract import Driver
+    from daq.drivers.driver import Driver
 
 _THOROUGH_WEIGHT = 300.0  # of the test with 10⁶ inputs in the bar of progress
 
@@ -110,18 +110,17 @@ def check(
 
 def _facts(name: str, point: EntryPoint) -> dict[str, Any]:
     """Return the list entry of a driver. If it cannot be loaded the reason is printed and the entry has no roles."""
-    from daq.drivers.contract import example_of, is_verified
 
     package = point.dist.name if point.dist is not None else point.module.partition(".")[0]
     facts: dict[str, Any] = {"name": name, "package": package, "roles": [], "verified": False}
     try:
         found: Driver = load_driver(name)
-        settings = found.settings.model_validate({"driver": name, "port": "none", **example_of(found)})
+        settings = found.example_at("none")
         roles = sorted({role.role for role in settings.roles(name)})
     except (ValueError, AttributeError, ValidationError) as error:
         notify(f"rig: driver {name} of {package}: {error}")
         return facts
-    return {**facts, "roles": roles, "verified": is_verified(found)}
+    return {**facts, "roles": roles, "verified": found.verified}
 
 
 def _chosen(name: str) -> Driver:

@@ -11,21 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.contract import (
-    AnswersOnRequest,
-    Driver,
-    FarEnd,
-    LockControl,
-    MovesLocks,
-    Pipeline,
-    Poller,
-    RotorGuard,
-    SpeedControl,
-    TurnsRotor,
-    example_of,
-    stop_device,
-)
+from daq.drivers.contract import LockControl, Pipeline, Poller, RotorGuard, SpeedControl
+from daq.drivers.driver import Driver
 from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.host_clock import HostClock, Repeated
@@ -53,7 +42,7 @@ def settings_for(driver: Driver) -> DeviceSettings:
     Raises:
         pydantic.ValidationError: the example is not valid.
     """
-    return driver.settings.model_validate({"driver": driver.name, "port": "simulated", **example_of(driver)})
+    return driver.example_at("simulated")
 
 
 class RigTime(HostClock):
@@ -223,15 +212,15 @@ class DriverBench:
 
     def begin(self) -> None:
         """Open the device as a session does, and start a recording with a fresh pipeline that has its identity."""
-        self.driver.prepare()
+        self.driver.load()
         self.identity = self.driver.open(NAME, self.settings, self)
-        if isinstance(self.driver, TurnsRotor):
+        if self.driver.speed_source is not None:
             self.control = self.driver.speed_source(self.settings, self.send, self.clock, self.guard)
             self.control.start()
-        if isinstance(self.driver, MovesLocks):
+        if self.driver.locks is not None:
             self.locks = self.driver.locks(self.settings, self.send, self.clock)
         self.restart_decoding()
-        if isinstance(self.driver, AnswersOnRequest):
+        if self.driver.poller is not None:
             self.poller = self.driver.poller(self.settings, self.send, self.clock)
             self.poller.start()
 
@@ -243,7 +232,7 @@ class DriverBench:
         """
         if self.poller is not None:
             self.poller.stop()
-        stop_device(self.driver, self.settings, self)
+        self.driver.stop(self.settings, self)
 
     @property
     def guard(self) -> RotorGuard:

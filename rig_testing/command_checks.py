@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.channels import LOCKS_CLOSED
-from daq.drivers.contract import MovesLocks, SpeedControl, TurnsRotor
+from daq.drivers.contract import SpeedControl
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from rig_basics.units import TO_RPM
 from rig_configs.roles import PendulumAngles, PendulumLocks, SpeedSource as SpeedRole
@@ -16,7 +16,7 @@ _LATE_S = 1.0
 
 def check_speed_source(subject: Subject) -> str:
     """It enables, follows a ramp and stops quickly; it requests permission; its silence is not taken for off."""
-    _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
+    _need_role(subject, SpeedRole, "speed source", "speed_source")
     bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
@@ -65,7 +65,7 @@ def check_speed_source(subject: Subject) -> str:
 
 def check_stops_by_itself(subject: Subject) -> str:
     """A speed source whose host is disconnected stops the rotor by itself."""
-    _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
+    _need_role(subject, SpeedRole, "speed source", "speed_source")
     bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
@@ -125,7 +125,7 @@ def _rpm(bench: DriverBench) -> float:
 
 def check_locks(subject: Subject) -> str:
     """Locks release and close as commanded, acknowledge, show it in the flags, and stop waiting on request."""
-    _need_role(subject, PendulumLocks, MovesLocks, "pendulum locks", "locks")
+    _need_role(subject, PendulumLocks, "pendulum locks", "locks")
     bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
@@ -164,9 +164,10 @@ def _lock_flags(subject: Subject, bench: DriverBench) -> int | None:
     return None
 
 
-def _need_role(subject: Subject, role: type, protocol: type, name: str, verb: str) -> None:
-    """Raise `NotTried` if the driver has no such role; a role without its method is a failure."""
+def _need_role(subject: Subject, role: type, name: str, function: str) -> None:
+    """Raise `NotTried` if the driver has no such role; a role without its function is a failure."""
+    offers = getattr(subject.driver, function) is not None
     plays = any(isinstance(each, role) for each in subject.roles)
-    if not plays and not isinstance(subject.driver, protocol):
+    if not plays and not offers:
         raise NotTried(f"it is not a {name}" if name.endswith("source") else f"it has no {name}")
-    need(plays == isinstance(subject.driver, protocol), f"the role {name!r} and the method `{verb}` go together")
+    need(plays == offers, f"the role {name!r} and the function `{function}` go together")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from daq.drivers.contract import CLAIMS, DeviceLine, TurnsRotor, claims_of, example_of
+from daq.drivers.contract import DeviceLine
+from daq.drivers.driver import CLAIMS
 from daq.drivers.simulated import FarEnd
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX
@@ -34,8 +35,8 @@ def check_settings(subject: Subject) -> str:
     try:
         settings = subject.settings
     except ValidationError as error:
-        raise Failed(f"settings: the attribute `example` ({example_of(driver)}) is not valid: {error}") from error
-    table = {"driver": driver.name, "port": "x", **example_of(driver)}
+        raise Failed(f"settings: the attribute `example` ({driver.example}) is not valid: {error}") from error
+    table = {"driver": driver.name, "port": "x", **driver.example}
     try:
         driver.settings.model_validate({**table, "no_such_setting": 1})
     except ValidationError:  # usual: the check requires this error
@@ -47,7 +48,7 @@ def check_settings(subject: Subject) -> str:
     line: Any = driver.line(settings)
     need(isinstance(line, DeviceLine), f"line: expected a Line, got {line!r}")
     need(driver.rest_s > 0, f"rest_s: expected a time above 0 s, got {driver.rest_s}")
-    unknown = claims_of(driver) - set(CLAIMS)
+    unknown = driver.claims - set(CLAIMS)
     need(not unknown, f"claims: {', '.join(sorted(unknown))} unknown, expected some of {', '.join(CLAIMS)}")
     return ""
 
@@ -241,7 +242,7 @@ def check_played(subject: Subject) -> str:
         talk = PlayedTalk(bench, stand_in)
         try:
             identity = subject.driver.open(NAME, subject.settings, talk)
-            if isinstance(subject.driver, TurnsRotor):
+            if subject.driver.speed_source is not None:
                 talk.control = subject.driver.speed_source(subject.settings, talk.send, bench.clock, bench.guard)
                 talk.control.start()
         except (DeviceError, LinkLost) as error:

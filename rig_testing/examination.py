@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from types import FrameType
 
-from daq.drivers.contract import Driver
+from daq.drivers.driver import Driver
 from rig_testing import command_checks, decoding_checks, device_checks, measured_checks, mutations
 from rig_testing.report import CaseOutcome, DriverReport, Failed, NotTried
 from rig_testing.subject import Subject

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.session import Session
-from daq.drivers.contract import SampleClock, claims_of
+from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -314,7 +314,7 @@ def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, b
     """
     early = {fault.device for fault in schedule.faults if fault.at_s < _HOST_COUNTS_AFTER_S}
     for name, device in devices_of(rig.devices).items():
-        checked, exact = ("checksum" in claims_of(device.driver)), "counts exactly" in claims_of(device.driver)
+        checked, exact = ("checksum" in device.driver.claims), "counts exactly" in device.driver.claims
         sound = (checked or name not in _spoilt(schedule)) and (exact or name not in early)
         if name not in _restarted(schedule) and sound:
             yield from ((name, clock, exact) for clock in device.clocks)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.drivers.contract import Driver, Pipeline, SampleClock, TurnsRotor, claims_of
+from daq.drivers.contract import Pipeline, SampleClock
+from daq.drivers.driver import Driver
 from daq.items import RX, Batch, DeviceEvent, joined
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import (
@@ -81,7 +82,7 @@ class Subject:
 
     def claims(self, word: str) -> bool:
         """Return whether the driver makes a claim."""
-        return word in claims_of(self.driver)
+        return word in self.driver.claims
 
     def measured(self) -> dict[str, tuple[str, ...]]:
         """Return the fields of measured values, by topic."""
@@ -148,7 +149,7 @@ class Subject:
 def turn(bench: DriverBench) -> None:
     """Command a speed source to turn the rotor."""
     assert bench.control is not None
-    assert isinstance(bench.driver, TurnsRotor)
+    assert bench.driver.speed_source is not None
     bench.control.set_ramp(RAMP_RPM_S)
     bench.time.pass_time(0.2)
     bench.control.enable()

@@ -174,7 +174,8 @@ def install_tilt(site: Path) -> None:
     """Install the example of a driver, for the commands of one page."""
     source = ROOT / "examples/rig_driver_tilt"
     project = tomllib.loads((source / "pyproject.toml").read_text("utf-8"))["project"]
-    shutil.copytree(source / "rig_driver_tilt", site / "rig_driver_tilt")
+    site.mkdir(exist_ok=True)
+    shutil.copy(source / "rig_driver_tilt.py", site)
     (facts := site / "rig_driver_tilt.dist-info").mkdir()
     (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
     drivers = project["entry-points"]["rig.drivers"].items()

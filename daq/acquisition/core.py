@@ -25,7 +25,7 @@ from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.trips import Trips
 from daq.drivers.calibrated import Calibration
-from daq.drivers.contract import NamesCodes, NoticesLostSetUp, Pipeline
+from daq.drivers.contract import NoticesLostSetUp, Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, Batch, DeviceEvent
@@ -255,7 +255,7 @@ class Core:
         device, code = self._known.get(str(event.facts.get("of"))), event.facts.get("code")
         if event.kind != "blind" or device is None or not event.text.endswith(f"code {code}"):
             return event
-        if not isinstance(device.driver, NamesCodes) or not (meaning := device.driver.code_meaning(int(code or 0))):
+        if not (meaning := device.driver.code_meaning(int(code or 0))):
             return event
         return replace(event, text=f"{event.text} ({meaning})")
 

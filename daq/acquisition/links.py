@@ -15,15 +15,7 @@ from daq.acquisition.edge import Edge
 from daq.acquisition.effects import Effect, Note
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import (
-    AnswersOnRequest,
-    MeasuresAtOpening,
-    ObservesIdentity,
-    Poller,
-    SendsByItself,
-    claims_of,
-    stop_device,
-)
+from daq.drivers.contract import ObservesIdentity, Poller, SendsByItself
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -86,7 +78,7 @@ class Links:
             LinkLost: a link cannot be opened. The links before it are open.
         """
         for device in self._devices.values():
-            device.driver.prepare()
+            device.driver.load()
         for name, device in self._devices.items():
             with self.refusing(name, LinkLost):
                 link = self._edge.connect(device.line, device.line.port)
@@ -108,7 +100,7 @@ class Links:
     def _reader(self, name: str, link: Link) -> DeviceReader:
         """Make a reader. It may collect bytes only if the device counts its samples and host times are not used."""
         driver = self._devices[name].driver
-        counts = "counts exactly" in claims_of(driver)
+        counts = "counts exactly" in driver.claims
         return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm)
 
     def __bool__(self) -> bool:
@@ -144,7 +136,7 @@ class Links:
         self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
         self._check_serial(name, device)
         self._reported[name] = frozenset(self._identities[name]) - {"port"}
-        if isinstance(device.driver, AnswersOnRequest):
+        if device.driver.poller is not None:
             self._pollers[name] = device.driver.poller(device.settings, partial(self.send, name), self._clock)
             self._pollers[name].start()
 
@@ -176,7 +168,7 @@ class Links:
             if name not in self._readers:
                 continue
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
-                stop_device(device.driver, device.settings, self._talk(name))
+                device.driver.stop(device.settings, self._talk(name))
 
     def _stop_pollers(self) -> None:
         for poller in self._pollers.values():
@@ -301,7 +293,7 @@ class Links:
             self._lost(name, error)
         except _AnotherDevice as error:
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
-                stop_device(device.driver, device.settings, self._talk(name))
+                device.driver.stop(device.settings, self._talk(name))
             yield from self._refused(name, str(error))
         except DeviceError as error:
             if self._readers[name].bytes_in != heard:  # otherwise it is still silent, which was reported
@@ -337,9 +329,7 @@ class Links:
         if name == command.drive_name and isinstance(command.drive, SendsByItself):
             command.drive.pause()
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
-        fixed = self._reported[name]
-        if isinstance(device.driver, MeasuresAtOpening):
-            fixed -= device.driver.measured
+        fixed = self._reported[name] - device.driver.measured
         changed = [key for key in known if key in fixed and found.get(key) != known[key]]
         if changed:
             differences = ", ".join(f"{key} {found.get(key)} instead of {known[key]}" for key in changed)

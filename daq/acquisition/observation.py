@@ -13,7 +13,7 @@ from daq.acquisition.displacement_check import ObservedDisplacement
 from daq.acquisition.recent_speed import recent_agreement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import MeasuresTimeOut, SendsByRadio, TimeOut
+from daq.drivers.contract import MeasuresTimeOut, TimeOut
 from daq.drivers.devices import devices_of
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -72,9 +72,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) / scale for name, found in stds.items()},
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.devices.identification_of(name)[1])},
-        by_radio=frozenset(
-            name for name, each in devices_of(session.rig.devices).items() if isinstance(each.driver, SendsByRadio)
-        ),
+        by_radio=frozenset(name for name, each in devices_of(session.rig.devices).items() if each.driver.by_radio),
         rotor_rpm=session.rotor.rpm(),
         speeds=recent_agreement(session.channels.recent, roles, started),
         round_trip_s=None if roles.phase is None else _round_trip(session, roles.phase.device),

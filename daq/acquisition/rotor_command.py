@@ -10,11 +10,9 @@ from daq.acquisition.core import Core, DriveState
 from daq.drivers.contract import (
     LockControl,
     MeasuresRoundTrip,
-    MovesLocks,
     Pipeline,
     RotorGuard,
     SpeedControl,
-    TurnsRotor,
 )
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
@@ -62,10 +60,10 @@ class RotorCommand:
         self.started: bool = False
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
         for name, device in devices.items() if core.policy.commands else ():
-            if isinstance(device.driver, TurnsRotor):
+            if device.driver.speed_source is not None:
                 self.drive_name = name
                 self.drive = device.driver.speed_source(device.settings, partial(send, name), clock, guard)
-            if isinstance(device.driver, MovesLocks):
+            if device.driver.locks is not None:
                 self.locks_name = name
                 self.locks = device.driver.locks(device.settings, partial(send, name), clock)
 

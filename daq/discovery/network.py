@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from daq.drivers.contract import Driver
-from daq.drivers.identification import AnnouncesItself, NetworkDevice
+from daq.drivers.driver import Driver
+from daq.drivers.identification import Announcement, NetworkDevice
 from daq.transports import HostClock
 from rig_basics.ignoring import ignoring
 
@@ -41,37 +41,37 @@ def announced_devices(drivers: Iterable[Driver], clock: HostClock) -> tuple[list
     found: dict[tuple[str, str], Announced] = {}
     notes: list[str] = []
     with ExitStack() as stack:
-        sockets: dict[socket.socket, tuple[Driver, AnnouncesItself]] = {}
+        sockets: dict[socket.socket, tuple[Driver, Announcement]] = {}
         wait_s = 0.0
         for driver in drivers:
-            if not isinstance(driver, AnnouncesItself):
+            if driver.announcement is None:
                 continue
+            announcement = driver.announcement()
             try:
-                sockets[stack.enter_context(_opened(driver))] = (driver, driver)
+                sockets[stack.enter_context(_opened(announcement))] = (driver, announcement)
             except OSError as error:
-                port = driver.announcement.port or driver.announcement.request_port
+                port = announcement.port or announcement.request_port
                 notes.append(f"{driver.name}: UDP port {port} cannot be used: {error}")
                 continue
-            wait_s = max(wait_s, driver.announcement.wait_s)
+            wait_s = max(wait_s, announcement.wait_s)
         end = clock.wall_s() + wait_s
         while sockets and (left := end - clock.wall_s()) > 0:
             ready, _, _ = select.select(list(sockets), [], [], left)
             for each in ready:
-                driver, announces = sockets[each]
+                driver, announcement = sockets[each]
                 with ignoring(_log, "receiving an announcement", OSError):  # Windows reports refused requests here
                     data, (host, *_) = each.recvfrom(_MOST_BYTES)
-                    if (device := announces.announcement.read(data, host)) is not None:
+                    if (device := announcement.read(data, host)) is not None:
                         found[driver.name, device.port] = Announced(driver, device)
     return [found[key] for key in sorted(found)], notes
 
 
-def _opened(driver: AnnouncesItself) -> socket.socket:
-    """Open the socket of a driver's announcements and send its request.
+def _opened(announcement: Announcement) -> socket.socket:
+    """Open the socket of announcements and send their request.
 
     Raises:
         OSError: another program has the port, or the network is down.
     """
-    announcement = driver.announcement
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

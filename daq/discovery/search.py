@@ -17,8 +17,9 @@ from typing import Any, Literal
 
 from daq.discovery.opening import PortNotOpened, State, has_line_rate, open_port
 from daq.discovery.trials import Evidence, Reads, Trial, evidence_of, plain_number, trials_of, usual_rate
-from daq.drivers.contract import DeviceLine, Driver
-from daq.drivers.identification import AnswersIdentityRequest, FoundDevice, IdentityTurns
+from daq.drivers.contract import DeviceLine
+from daq.drivers.driver import Driver
+from daq.drivers.identification import FoundDevice, IdentityTurns
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link
 
@@ -173,7 +174,7 @@ class PortSearch:
     def _asked(self, before: Result) -> Result:
         """Return the answer to a request for identification; without an answer what was found before."""
         trials = self._trials if before.trial is None else [before.trial]
-        trials = [each for each in trials if isinstance(each.driver, AnswersIdentityRequest)]
+        trials = [each for each in trials if each.driver.identity_request is not None]
         done = 0
         for line in _lines(trials):
             link = self._connect(line)
@@ -189,7 +190,7 @@ class PortSearch:
         return before
 
     def _ask(self, link: Link, trial: Trial) -> FoundDevice | None:
-        assert isinstance(trial.driver, AnswersIdentityRequest)
+        assert trial.driver.identity_request is not None
         turns: IdentityTurns = trial.driver.identity_request(trial.settings)
         try:
             request = next(turns)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.drivers.contract import Driver
+from daq.drivers.driver import Driver
 from daq.drivers.identification import FoundDevice
 from rig_configs.device import DisplacementSettings
 from rig_configs.roles import DisplacementSensor, PendulumAngles, Role, SpeedSource

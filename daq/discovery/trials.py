@@ -12,8 +12,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daq.drivers.contract import FOREIGN, DeviceLine, Driver, claims_of
-from daq.drivers.identification import LOSSES_OF_READINGS, FoundDevice, RecognisesBytes, trial_settings
+from daq.drivers.contract import FOREIGN, DeviceLine
+from daq.drivers.driver import Driver
+from daq.drivers.identification import LOSSES_OF_READINGS, FoundDevice
 from daq.drivers.registry import driver
 from daq.errors import DeviceError
 from daq.items import RX, Batch
@@ -78,7 +79,7 @@ class Evidence:
     @property
     def convinces(self) -> bool:
         """Whether the bytes are those of such a device."""
-        checked = "checksum" in claims_of(self.trial.driver)
+        checked = "checksum" in self.trial.driver.claims
         few = self.samples >= _FEWEST_SAMPLES and not self.losses
         limit = (_MAX_LOSSES_CHECKED if checked else _MAX_LOSSES) * self.samples
         return few or (self.samples >= _MIN_SAMPLES and self.losses <= limit)
@@ -111,7 +112,7 @@ def trials_of(drivers: Iterable[Driver], port: str, has_rate: bool) -> list[Tria
     by_driver: list[list[Trial]] = []
     for each in drivers:
         try:
-            trials = [Trial(each, settings) for settings in trial_settings(each, port)]
+            trials = [Trial(each, each.example_at(port, **usual)) for usual in each.usual]
         except (ValidationError, ValueError) as error:
             _log.warning("driver %s is left out, its example is not valid: %s", each.name, error)
             continue
@@ -144,7 +145,7 @@ def evidence_of(trial: Trial, reads: Reads) -> Evidence | None:
         text = HostText()
         reads = [(records, host_ns) for data, host_ns in reads if (records := text.received(data))]
     found = FoundDevice()
-    if isinstance(trial.driver, RecognisesBytes):
+    if trial.driver.recognise is not None:
         recognised = trial.driver.recognise(trial.settings, b"".join(data for data, _ in reads))
         if recognised is None:
             return None

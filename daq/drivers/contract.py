@@ -1,23 +1,14 @@
-"""The interface of a driver: everything that the layers above may use of a device.
-
-A driver is one object, found by its name in the entry-point group `rig.drivers` (`daq.drivers.registry`). It holds no
-state of a device: the state of an open device is in its pipeline. Settings are the device's table of the rig file.
-"""
+"""Objects of an open device: what the layers above use of it, and what its driver may use."""
 
 from __future__ import annotations
 
 import queue
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from daq.channels import Channel
 from daq.clock import ClockSeed
-from daq.drivers.checks import Checks
-from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd
 from daq.items import Batch, DeviceEvent
-from rig_configs.device import DeviceSettings
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -162,26 +153,6 @@ class CountsFrames(Protocol):
     heard_frames: tuple[int, int] | None
 
 
-@runtime_checkable
-class SendsByRadio(Protocol):
-    """A driver of devices that send their samples by radio, where a small share of them is lost on a healthy rig.
-
-    Attributes:
-        by_radio: True.
-    """
-
-    by_radio: bool
-
-
-@runtime_checkable
-class NamesCodes(Protocol):
-    """A driver of sensors that send codes in place of values, for example without a target."""
-
-    def code_meaning(self, code: int) -> str:
-        """Return the meaning of a code in the channel's field `code`, a short clause; empty if it is unknown."""
-        ...
-
-
 class Talk(Protocol):
     """An open device during a dialogue of its driver: set-up, identification or stop."""
 
@@ -211,142 +182,6 @@ class Talk(Protocol):
     def restart_decoding(self) -> None:
         """Discard the state of decoding: a new pipeline decodes the bytes from here on."""
         ...
-
-
-class Driver(Protocol):
-    """One kind of device."""
-
-    @property
-    def name(self) -> str:
-        """Name of the driver in a rig file's `driver = "…"`."""
-        ...
-
-    @property
-    def settings(self) -> type[DeviceSettings]:
-        """Class of a device's table in the rig file. The settings define the roles of the device."""
-        ...
-
-    @property
-    def rest_s(self) -> float:
-        """Longest pause of the reader between two reads, rig s; short if samples get the host's time."""
-        ...
-
-    def line(self, settings: Any) -> DeviceLine:
-        """Return the line of a device with these settings."""
-        ...
-
-    def channels(self, settings: Any) -> tuple[Channel, ...]:
-        """Return the channels that a healthy device fills continuously."""
-        ...
-
-    def occasional(self, settings: Any) -> tuple[Channel, ...]:
-        """Return the channels that the device fills occasionally, such as index marks, which need a turning rotor."""
-        ...
-
-    def clocks(self, settings: Any) -> tuple[SampleClock, ...]:
-        """Return the clocks of those channels whose samples contain the time of a clock in the device."""
-        ...
-
-    def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Pipeline:
-        """Make a new pipeline.
-
-        Args:
-            device: the device's name in the rig file.
-            identity: the device's identity from `open`; empty if the device was not queried.
-
-        Raises:
-            DeviceError: the identity is impossible for such a device.
-        """
-        ...
-
-    def words(self, event: DeviceEvent) -> str:
-        """Return the text of an emergency event for the operator; empty if the emergency has ended."""
-        ...
-
-    def checks(
-        self, settings: Any, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
-    ) -> Checks:
-        """Return the checks of an open device that are specific to this driver.
-
-        They are added to the checks that apply to every device of the same roles.
-
-        Args:
-            pipeline: pipeline of the device after some seconds of stream.
-            control: command of the device if it turns the rotor, otherwise None.
-            events: events of the device in those seconds.
-        """
-        ...
-
-    def far_end(self, device: str, settings: Any, world: Any) -> FarEnd:
-        """Make a simulated device.
-
-        Args:
-            world: a `daq.virtual_rig.world.World`.
-        """
-        ...
-
-    def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
-        """Make the stand-in for a device of a log while the log is played.
-
-        Raises:
-            LogError: the identity is impossible for such a device.
-        """
-        ...
-
-    def prepare(self) -> None:
-        """Load slow modules and compiled code before the first byte arrives."""
-        ...
-
-    def open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
-        """Query the device's identity, set the device up and start its stream.
-
-        Returns:
-            Identity as strings and numbers: everything that the pipeline needs in addition to the settings. Its entry
-            `warning`, if present, is shown to the operator.
-
-        Raises:
-            DeviceError: the device does not answer, refuses a command, or differs from the rig file.
-        """
-        ...
-
-    def stop(self, talk: Talk) -> None:
-        """End the stream of the device. The device may be disconnected.
-
-        Raises:
-            LinkLost, DeviceError: the device is disconnected.
-        """
-        ...
-
-
-# --- optional attributes of a driver ---------------------------------------------------------------------------
-#
-# A driver may have three additional attributes. Only the test kit and the list of drivers read them.
-
-
-def example_of(driver: Driver) -> dict[str, Any]:
-    """Return the optional attribute `example`: settings of a device by name, in addition to `driver` and `port`.
-
-    A driver needs it if its settings class has fields without a default.
-    """
-    return dict(getattr(driver, "example", {}))
-
-
-CLAIMS = {
-    "checksum": "every message contains a check of 16 bits or more: a damaged message gives no sample",
-    "counts exactly": 'losses["samples"] is the number of missing samples of all channels between two received samples',
-    "falls silent": "after its stop the device sends nothing until it is opened again",
-}
-"""Claims of a driver about its device's wire, with their meaning. A claim makes tests stricter."""
-
-
-def claims_of(driver: Driver) -> frozenset[str]:
-    """Return the optional attribute `claims`: keys of CLAIMS; empty by default."""
-    return frozenset(getattr(driver, "claims", ()))
-
-
-def is_verified(driver: Driver) -> bool:
-    """Return the optional attribute `verified`: whether the driver was tested on the hardware; False by default."""
-    return bool(getattr(driver, "verified", False))
 
 
 # --- commands of a device --------------------------------------------------------------------------------------
@@ -528,26 +363,6 @@ class MeasuresRoundTrip(Protocol):
         ...
 
 
-@runtime_checkable
-class TurnsRotor(Protocol):
-    """A driver of devices that turn the rotor."""
-
-    def speed_source(
-        self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> SpeedControl:
-        """Make the command interface of an open device."""
-        ...
-
-
-@runtime_checkable
-class MovesLocks(Protocol):
-    """A driver of devices that lock and release the pendulums."""
-
-    def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
-        """Make the command interface of an open device."""
-        ...
-
-
 class Poller(Protocol):
     """Sends the requests of an open device that answers only on request."""
 
@@ -562,44 +377,3 @@ class Poller(Protocol):
     def stop(self) -> None:
         """End the requests, before the device is stopped or opened again."""
         ...
-
-
-@runtime_checkable
-class AnswersOnRequest(Protocol):
-    """A driver of devices that answer only on request."""
-
-    def poller(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> Poller:
-        """Make the poller of an open device."""
-        ...
-
-
-@runtime_checkable
-class MeasuresAtOpening(Protocol):
-    """A driver whose identities contain measured values: they differ each time the same device is opened.
-
-    Attributes:
-        measured: their keys.
-    """
-
-    measured: frozenset[str]
-
-
-@runtime_checkable
-class StopsBySettings(Protocol):
-    """A driver that needs the settings of a device for its stop, such as the address of a node behind a receiver."""
-
-    def stop_by(self, settings: Any, talk: Talk) -> None:
-        """End the stream of the device, in place of `Driver.stop`."""
-        ...
-
-
-def stop_device(driver: Driver, settings: Any, talk: Talk) -> None:
-    """End the stream of a device. The device may be disconnected.
-
-    Raises:
-        LinkLost, DeviceError: the device is disconnected.
-    """
-    if isinstance(driver, StopsBySettings):
-        driver.stop_by(settings, talk)
-    else:
-        driver.stop(talk)

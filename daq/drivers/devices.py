@@ -8,7 +8,8 @@ from typing import Any
 
 from daq.channels import CHANNELS, Channel
 from daq.clock import CLOCK_SEED
-from daq.drivers.contract import DeviceLine, Driver, Pipeline, SampleClock
+from daq.drivers.contract import DeviceLine, Pipeline, SampleClock
+from daq.drivers.driver import Driver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
 from daq.drivers.simulated import FarEnd

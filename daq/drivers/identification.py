@@ -1,16 +1,10 @@
-"""Search for devices: optional members of a driver that `daq.discovery` uses to recognise a device on an unknown port.
-
-A driver without them is still recognised if its example's settings decode the device's bytes.
-"""
+"""What a driver uses to recognise a device on an unknown port, for `daq.discovery`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
-
-from daq.drivers.contract import Driver, example_of
-from rig_configs.device import DeviceSettings
+from typing import Any
 
 LOSSES_OF_READINGS = frozenset({"invalid", "suspect"})
 """Kinds of `Pipeline.losses` that count samples without a valid reading, as without a target: the line is intact."""
@@ -48,36 +42,6 @@ IdentityTurns = Generator[IdentityRequest, bytes, FoundDevice | None]
 """Dialogue without I/O. It yields requests, receives the bytes that arrived after each, and returns the device."""
 
 
-@runtime_checkable
-class RecognisesBytes(Protocol):
-    """A driver that reads settings from bytes which a device sends without a request."""
-
-    def recognise(self, settings: Any, data: bytes) -> FoundDevice | None:
-        """Return the settings that the bytes contain; the pipeline is then tried with them.
-
-        Args:
-            settings: settings of the trial.
-            data: all bytes received on the port so far. They may begin and end anywhere, or be of any other device.
-
-        Returns:
-            The device; None if the bytes are not of such a device.
-        """
-        ...
-
-
-@runtime_checkable
-class AnswersIdentityRequest(Protocol):
-    """A driver of devices that answer a request for their identity."""
-
-    def identity_request(self, settings: Any) -> IdentityTurns:
-        """Return the dialogue that identifies a device with these settings.
-
-        It only reads: it does not configure or enable the device, and does not start or stop its stream. The port may
-        belong to any other device, and the device may be streaming.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class NetworkDevice:
     """A device that announced itself on the network.
@@ -108,32 +72,3 @@ class Announcement:
     request: bytes = b""
     request_port: int = 0
     wait_s: float = 2.5
-
-
-@runtime_checkable
-class AnnouncesItself(Protocol):
-    """A driver of devices that announce themselves on the network."""
-
-    @property
-    def announcement(self) -> Announcement:
-        """See Announcement."""
-        ...
-
-
-def usual_of(driver: Driver) -> tuple[Mapping[str, Any], ...]:
-    """Return the optional attribute `usual`: settings with which such devices are usual, the most frequent first.
-
-    Each is a table by name, in addition to that of `example_of`; by default only the example's settings are tried.
-    """
-    usual: Sequence[Mapping[str, Any]] = getattr(driver, "usual", ({},))
-    return tuple(usual)
-
-
-def trial_settings(driver: Driver, port: str) -> list[DeviceSettings]:
-    """Return the settings with which a device of a driver is looked for on a port, the most frequent first.
-
-    Raises:
-        ValueError: an example or a usual setting of the driver is not valid.
-    """
-    base = {"driver": driver.name, "port": port, **example_of(driver)}
-    return [driver.settings.model_validate({**base, **usual}) for usual in usual_of(driver)]

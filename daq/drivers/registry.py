@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq.drivers.contract import Driver
+from daq.drivers.driver import Driver
 from daq.errors import DeviceError
 from rig_configs.drivers import load_driver
 
@@ -14,7 +14,9 @@ def driver(name: str) -> Driver:
         DeviceError: no driver of that name is installed, or it cannot be loaded.
     """
     try:
-        found: Driver = load_driver(name)
+        found = load_driver(name)
     except ValueError as error:
         raise DeviceError(str(error)) from error
+    if not isinstance(found, Driver):
+        raise DeviceError(f"driver {name}: expected a daq.drivers.driver.Driver, got {found!r:.80}")
     return found

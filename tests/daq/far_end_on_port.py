@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.drivers.contract import DeviceLine, Driver, example_of
+from daq.drivers.contract import DeviceLine
+from daq.drivers.driver import Driver
 from daq.drivers.registry import driver
 from daq.drivers.simulated import FarEnd
 from daq.transports.host_clock import HostClock
@@ -16,7 +17,6 @@ from daq.transports.slcan import AdapterText
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_configs import load_rig
-from rig_configs.device import DeviceSettings
 from rig_configs.schema import Radio, SimulatedSensors, Virtual
 
 START_NS = 1_700_000_000_000_000_000
@@ -78,9 +78,7 @@ class Cable:
     def of(cls, name: str, port: str = PORT, **settings: Any) -> Cable:
         """The simulated device of a driver with these settings, on a port with its line's rate."""
         found: Driver = driver(name)
-        table: DeviceSettings = found.settings.model_validate(
-            {"driver": name, "port": port, **example_of(found), **settings}
-        )
+        table = found.example_at(port, **settings)
         return cls(lambda world: found.far_end("device", table, world), found.line(table), port)
 
     def connect(self, line: DeviceLine) -> CableLink:

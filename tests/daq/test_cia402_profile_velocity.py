@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
@@ -11,7 +12,7 @@ from pydantic import ValidationError
 import rig_testing
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.driver import Cia402
+from daq.drivers.cia402.driver import DRIVER
 from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.cia402.profile import VELOCITY, profile_of
 from daq.drivers.cia402.settings import MotorDrive
@@ -29,17 +30,19 @@ def drive(**given_: Any) -> MotorDrive:
     return MotorDrive.model_validate({"driver": "cia402", "port": "p", "mode": "profile velocity", **given_})
 
 
-class _Profile(Cia402):
-    example: ClassVar = {
+_PROFILE = replace(
+    DRIVER,
+    example={
         "node_id": 5,
         "mode": "profile velocity",
         "units_per_rpm": UNITS,
         "ramp_units_per_rpm_per_s": 17.5,
-    }
+    },
+)
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, id=str(case)) for case in rig_testing.cases(_Profile()) if str(case) != "mutations"]
+    "case", [pytest.param(case, id=str(case)) for case in rig_testing.cases(_PROFILE) if str(case) != "mutations"]
 )
 def test_it_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
@@ -94,7 +97,7 @@ def test_settings_of_the_other_mode_are_refused(given_: dict[str, Any], words: s
 
 def test_a_drive_is_commanded_through_its_own_objects() -> None:
     """The mapping of velocity mode is replaced, the ramps are set, the speed is followed; halt stops along the ramp."""
-    bench = DriverBench(_Profile())
+    bench = DriverBench(_PROFILE)
     far = bench.far
     assert isinstance(far, SimulatedDrive)
     objects = far._objects
@@ -127,10 +130,11 @@ def test_a_drive_is_commanded_through_its_own_objects() -> None:
 
 
 def test_a_ramp_below_the_drives_unit_is_refused() -> None:
-    class Coarse(Cia402):
-        example: ClassVar = {"mode": "profile velocity", "ramp_units_per_rpm_per_s": 0.01, "ramp_rpm_per_s": 500.0}
+    coarse = replace(
+        DRIVER, example={"mode": "profile velocity", "ramp_units_per_rpm_per_s": 0.01, "ramp_rpm_per_s": 500.0}
+    )
 
-    bench = DriverBench(Coarse())
+    bench = DriverBench(coarse)
     with bench.running():
         bench.begin()
         assert bench.control is not None
@@ -139,7 +143,7 @@ def test_a_ramp_below_the_drives_unit_is_refused() -> None:
 
 
 def test_a_report_of_velocity_mode_is_too_short() -> None:
-    pipeline = Cia402().pipeline("drive", drive(), {})
+    pipeline = DRIVER.pipeline("drive", drive(), {})
     data = encode(CanFrame(0x185, cia402.pack_tpdo1(0x0237, 300)))
     (event,) = pipeline.feed(RX, data, 0)
     assert not isinstance(event, Batch)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import rig_testing
 from daq import channels
 from daq.acquisition.session import Session
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.driver import Cia406
+from daq.drivers.cia406.driver import DRIVER
 from daq.drivers.cia406.far_end import SimulatedEncoders
 from daq.drivers.cia406.free_running import OwnTimer
 from daq.drivers.cia406.played import PlayedEncoders
@@ -124,7 +125,7 @@ def test_positions_are_continuous_over_revolutions(steps: list[int], zero: int, 
 
 
 def test_the_opening_writes_what_the_standards_define() -> None:
-    bench = DriverBench(Cia406())
+    bench = DriverBench(DRIVER)
     with bench.running():
         bench.driver.open("encoders", bench.settings, bench)
     sent = b"".join(data for direction, data, _ in bench.reads if direction == TX)
@@ -426,8 +427,8 @@ def test_an_emergency_sets_the_flag_of_its_pendulum_until_it_ends() -> None:
     assert flags == [channels.ENCODER_FAULT_A, 0]
     began, ended = line.events("emergency")
     assert began.facts == {"encoder": "a", "error_code": 0x5000, "register": 0x21, "maker_bytes": "01 02 00 00 00"}
-    assert Cia406().words(began) == "of encoder a: 0x5000, device hardware"
-    assert Cia406().words(ended) == ""
+    assert DRIVER.words(began) == "of encoder a: 0x5000, device hardware"
+    assert DRIVER.words(ended) == ""
 
 
 # --- index marks -------------------------------------------------------------------------------------------------
@@ -578,10 +579,9 @@ def test_without_sync_missing_reports_are_counted_by_time(node: int, samples: in
 
 
 def bench_of(**other: Any) -> tuple[DriverBench, SimulatedEncoders]:
-    class Other(Cia406):
-        example: ClassVar = {"a_node": 3, "b_node": 4, "shaft_node": 5, **other}
+    other = replace(DRIVER, example={"a_node": 3, "b_node": 4, "shaft_node": 5, **other})
 
-    bench = DriverBench(Other())
+    bench = DriverBench(other)
     assert isinstance(bench.far, SimulatedEncoders)
     return bench, bench.far
 
@@ -804,7 +804,7 @@ def test_roles_follow_the_encoders() -> None:
     assert [type(role) for role in with_shaft.roles("e")] == [PendulumAngles, RotorPhase]
     assert [type(role) for role in without_shaft.roles("e")] == [PendulumAngles]
     assert not any(isinstance(role, PendulumLocks) for role in with_shaft.roles("e"))
-    assert [channel.topic for channel in Cia406().occasional(without_shaft)] == []
+    assert [channel.topic for channel in DRIVER.occasional(without_shaft)] == []
 
 
 def test_the_sync_of_a_new_host_replaces_that_of_the_log() -> None:
@@ -826,12 +826,12 @@ def test_an_impossible_identity_of_a_log_is_refused(key: str) -> None:
         PlayedEncoders(settings(), {**identity(), key: "x"})
 
 
-class _OwnTimers(Cia406):
-    example: ClassVar = {"a_node": 3, "b_node": 4, "shaft_node": 5, "sync": False, "rate_Hz": 100}
+_OWN_TIMERS = replace(DRIVER, example={"a_node": 3, "b_node": 4, "shaft_node": 5, "sync": False, "rate_Hz": 100})
 
 
-class _OtherSense(Cia406):
-    example: ClassVar = {
+_OTHER_SENSE = replace(
+    DRIVER,
+    example={
         "a_node": 30,
         "b_node": 4,
         "shaft_node": 127,
@@ -842,10 +842,11 @@ class _OtherSense(Cia406):
         "b_zero_counts": 77,
         "shaft_zero_counts": 8191,
         "index_angle_deg": 30.0,
-    }
+    },
+)
 
 
-@pytest.mark.parametrize("case", kit_cases((_OwnTimers, _OtherSense)))
+@pytest.mark.parametrize("case", kit_cases((_OWN_TIMERS, _OTHER_SENSE)))
 def test_every_way_of_sampling_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

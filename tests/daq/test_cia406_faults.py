@@ -13,7 +13,7 @@ from daq.acquisition.device_check import device_checks
 from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.driver import Cia406
+from daq.drivers.cia406.driver import DRIVER
 from daq.drivers.cia406.far_end import SimulatedEncoders
 from daq.drivers.cia406.played import PlayedEncoders
 from daq.drivers.cia406.stream import EncoderPipeline
@@ -48,7 +48,7 @@ def test_faults_at_the_opening_are_in_the_identity() -> None:
     )
     assert {key: value for key, value in bench.identity.items() if key in FAULTY} == FAULTY
     assert {bench.identity[f"a_{key}"] for key in ("error_register", "error_code", "alarms", "warnings")} == {0}
-    assert set(FAULTY) <= Cia406().measured, "the next opening of the same encoder may find others"
+    assert set(FAULTY) <= DRIVER.measured, "the next opening of the same encoder may find others"
 
 
 def test_an_old_entry_of_the_error_field_is_no_fault() -> None:
@@ -85,8 +85,8 @@ def test_a_fault_at_the_opening_is_an_emergency_and_a_flag(known: dict[str, int]
     (found,) = [item for item in items if isinstance(item, DeviceEvent) and item.kind == "emergency"]
     assert "encoder b (node 4): since the opening" in found.text
     assert found.facts["error_code"] == known.get("b_error_code", 0x1000)
-    assert Cia406().words(found).startswith("of encoder b: 0x")
-    checks = Cia406().checks(settings(), pipeline, None, [])  # the event came before the check began
+    assert DRIVER.words(found).startswith("of encoder b: 0x")
+    checks = DRIVER.checks(settings(), pipeline, None, [])  # the event came before the check began
     assert not checks["emergencies"].passed
     assert "of encoder b" in checks["emergencies"].value
 
@@ -106,7 +106,7 @@ def test_warnings_are_reported_and_are_no_fault() -> None:
     (found,) = [item for item in items if isinstance(item, DeviceEvent)]
     assert (found.kind, found.facts) == ("status", {"encoder": "a", "warnings": 0x11})
     assert "warnings 0011h (speed too high, battery low)" in found.text
-    assert Cia406().checks(settings(), pipeline, None, [])["emergencies"].passed
+    assert DRIVER.checks(settings(), pipeline, None, [])["emergencies"].passed
 
 
 @pytest.mark.parametrize("known", [{}, {"a_alarms": "1"}, {"a_alarms": None}])
@@ -129,7 +129,7 @@ def test_a_fault_remains_until_the_error_register_is_0() -> None:
         "an error has ended, others remain (error register 20h)",
         "an error has ended, none remains",
     ]
-    assert Cia406().words(line.events("emergency")[1]) == ""
+    assert DRIVER.words(line.events("emergency")[1]) == ""
 
 
 def test_the_stand_in_for_a_log_has_its_faults() -> None:
@@ -164,7 +164,7 @@ def checked(**losses: int) -> dict[str, Checks]:
         pipeline.feed(TX, SYNC, number * 10_000_000)
         pipeline.feed(RX, report(3, 1) + report(4, 1) + report(5, 1), number * 10_000_000 + 1_000_000)
     pipeline.losses |= losses
-    own = {"encoder": Cia406().checks(settings(), pipeline, None, [])}
+    own = {"encoder": DRIVER.checks(settings(), pipeline, None, [])}
     seen = replace(healthy(), own=own, losses={"encoder": pipeline.losses, "drive": {"foreign_frames": 3}})
     return device_checks(load_rig("virtual"), seen)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import copy
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import cantools
 import numpy as np
@@ -17,7 +18,7 @@ from pydantic import ValidationError
 import rig_testing
 from daq.acquisition.session import Session
 from daq.drivers.dbc import layouts
-from daq.drivers.dbc.driver import DRIVER, DbcDriver
+from daq.drivers.dbc.driver import DRIVER
 from daq.drivers.dbc.example import DBC, SETTINGS
 from daq.drivers.dbc.layouts import database, message
 from daq.drivers.dbc.settings import CanSensors
@@ -322,31 +323,33 @@ def test_any_file_is_read_or_refused(text: str) -> None:
         database(text)
 
 
-class _OneMessage(DbcDriver):
-    """Both displacements in the same frames, with a counter of 16 bits, in floats."""
-
-    example: ClassVar = {
+# Both displacements in the same frames, with a counter of 16 bits, in floats.
+_ONE_MESSAGE = replace(
+    DRIVER,
+    example={
         "dbc_text": 'VERSION ""\nBU_: N\nBO_ 17 Pair: 8 N\n SG_ X : 0|16@1- (1,0) [0|0] "um" N\n'
         ' SG_ Y : 16|24@1- (0.1,0) [0|0] "um" N\n SG_ Count : 40|12@1+ (1,0) [0|0] "" N\n',
         "x": {"message": "Pair", "signal": "X", "counter": "Count", "rate_Hz": 4000.0},
         "y": {"message": "Pair", "signal": "Y", "counter": "Count", "rate_Hz": 4000.0, "lever_ratio": 0.5},
-    }
+    },
+)
 
 
-class _NoCounter(DbcDriver):
-    """A timestamp alone, multiplexed."""
-
-    example: ClassVar = {
+# A timestamp alone, multiplexed.
+_NO_COUNTER = replace(
+    DRIVER,
+    example={
         "dbc_text": 'VERSION ""\nBU_: N\nBO_ 17 M: 8 N\n SG_ Page M : 0|8@1+ (1,0) [0|0] "" N\n'
         ' SG_ X m3 : 8|24@1- (1E-07,0) [0|0] "m" N\n SG_ T m3 : 32|32@1+ (10,0) [0|0] "us" N\n',
         "x": {"message": "M", "signal": "X", "timestamp": "T", "rate_Hz": 1000.0},
-    }
+    },
+)
 
 
 _SLOW = {"mutations", "memory", "split", "counter wrap"}
 
 
-_OTHERS = (_OneMessage, _NoCounter)
+_OTHERS = (_ONE_MESSAGE, _NO_COUNTER)
 
 
 @pytest.mark.parametrize("case", kit_cases(_OTHERS, without=[(kind, name) for kind in _OTHERS for name in _SLOW]))

@@ -14,9 +14,7 @@ import pytest
 
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
-from daq.drivers.microstrain.driver import MicroStrain
-from daq.drivers.optoncdt.driver import OptoNcdt
-from daq.drivers.xbee.driver import XBee
+from daq.drivers.registry import driver
 from daq.errors import AcquisitionError, DeviceError, LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitNeverEnds
@@ -300,10 +298,10 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_measured_value_is_no_other_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The signal of a radio and the lag of a beacon differ each time the device is opened."""
-    assert MicroStrain.measured == {"beacon_lag_ns"}
-    assert XBee.measured == {"rssi_dBm"}
+    assert driver("microstrain").measured == {"beacon_lag_ns"}
+    assert driver("xbee").measured == {"rssi_dBm"}
     sim, session = opened("virtual")
-    monkeypatch.setattr(OptoNcdt, "measured", frozenset({"serial"}), raising=False)
+    monkeypatch.setitem(vars(driver("optoncdt")), "measured", frozenset({"serial"}))
     _record_a_laser_with_another_serial_number(sim, session, tmp_path / "a.mcap")
     with open_log(tmp_path / "a.mcap") as log:
         assert any(event["kind"] == "back" for event in log.events)

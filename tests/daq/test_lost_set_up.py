@@ -12,7 +12,7 @@ from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.contract import NoticesLostSetUp, Talk
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.drivers.optoncdt.driver import DRIVER, OptoNcdt
+from daq.drivers.optoncdt.driver import DRIVER
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.drivers.optoncdt.sensor_answers import SensorInfo
 from daq.drivers.optoncdt.settings import Laser
@@ -253,14 +253,14 @@ def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
     sim, session = opened()
     attempts: list[str] = []
 
-    def refuses(driver: OptoNcdt, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
+    def refuses(device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
         attempts.append(f"{device}: refused attempt {max(0, len(attempts) - 4)}")  # the first five are equal
         talk.clock.wait(0.1)
         raise DeviceError(attempts[-1])
 
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        monkeypatch.setattr(OptoNcdt, "open", refuses)
+        monkeypatch.setitem(vars(DRIVER), "open", refuses)
         pipeline = session._core.pipelines["laser_y"]
         assert isinstance(pipeline, NoticesLostSetUp)
         pipeline.set_up_lost = "it may have lost power"

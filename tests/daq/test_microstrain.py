@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from pydantic import ValidationError
 
 import rig_testing
 from daq.drivers.microstrain import wire
-from daq.drivers.microstrain.driver import MicroStrain
+from daq.drivers.microstrain.driver import DRIVER
 from daq.drivers.microstrain.far_end import SimulatedMicroStrain
 from daq.drivers.microstrain.framing import PacketSearch
 from daq.drivers.microstrain.played import PlayedMicroStrain
@@ -43,7 +44,7 @@ def settings(**more: Any) -> MicroStrainNode:
 
 def pipeline(identity: dict[str, Any] | None = None, **more: Any) -> MicroStrainPipeline:
     given = settings(**more)
-    channels = MicroStrain().channels(given)
+    channels = DRIVER.channels(given)
     return MicroStrainPipeline("node", given, identity or {}, channels[1] if len(channels) > 1 else None)
 
 
@@ -373,21 +374,23 @@ def test_a_serial_number_is_kept_in_the_maker_s_form() -> None:
     assert settings(serial="6305-0-7").serial == "6305-0000-00007"
 
 
-class _OneTurn(MicroStrain):
-    """Words of 16 bits that repeat with each revolution; whole turns are not known after a loss."""
-
-    example: ClassVar = {"node_address": 307, "rate_Hz": 512, "quantities": {"supply_V": 5}}
-    claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
-
-
-class _Old(MicroStrain):
-    """The sum of 16 bits does not detect exchanged bytes."""
-
-    example: ClassVar = {"node_address": 9, "aspp": 1, "slope_a_rad": -0.01745, "slope_b_rad": 0.01745}
-    claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
+# Words of 16 bits that repeat with each revolution; whole turns are not known after a loss.
+_ONE_TURN = replace(
+    DRIVER,
+    example={"node_address": 307, "rate_Hz": 512, "quantities": {"supply_V": 5}},
+    claims=frozenset({"counts exactly", "falls silent"}),
+)
 
 
-@pytest.mark.parametrize("case", kit_cases((_OneTurn, _Old)))
+# The sum of 16 bits does not detect exchanged bytes.
+_OLD = replace(
+    DRIVER,
+    example={"node_address": 9, "aspp": 1, "slope_a_rad": -0.01745, "slope_b_rad": 0.01745},
+    claims=frozenset({"counts exactly", "falls silent"}),
+)
+
+
+@pytest.mark.parametrize("case", kit_cases((_ONE_TURN, _OLD)))
 def test_other_settings_pass_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 
@@ -402,14 +405,14 @@ def test_other_settings_pass_the_tests_of_drivers(case: rig_testing.ContractCase
     ],
 )
 def test_a_node_that_cannot_be_opened_is_explained(fault: str, value: int, words: str) -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     bench.far.fail(fault, value)
     with bench.running(), pytest.raises(DeviceError, match=words):
         bench.begin()
 
 
 def test_another_node_than_the_rig_file_s_is_refused() -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     bench.settings = bench.settings.model_copy(update={"serial": "6305-1000-48211"})
     with bench.running():
         bench.begin()
@@ -422,7 +425,7 @@ def test_another_node_than_the_rig_file_s_is_refused() -> None:
 
 
 def test_a_channel_that_is_not_active_and_a_refusal_are_explained() -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     assert isinstance(bench.far, SimulatedMicroStrain)
     bench.far.eeprom[12] = 1
     with bench.running():
@@ -435,7 +438,7 @@ def test_a_channel_that_is_not_active_and_a_refusal_are_explained() -> None:
 
 def test_a_node_that_samples_is_stopped_and_opened_again() -> None:
     """As after a host that was killed."""
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     with bench.running():
         for _ in range(2):
             bench.begin()
@@ -445,7 +448,7 @@ def test_a_node_that_samples_is_stopped_and_opened_again() -> None:
 
 
 def test_a_stop_that_the_node_does_not_confirm_is_reported_and_ends_the_beacon() -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     with bench.running():
         bench.begin()
         bench.time.pass_time(0.5)
@@ -466,7 +469,7 @@ def test_a_stop_that_the_node_does_not_confirm_is_reported_and_ends_the_beacon()
     ],
 )
 def test_faults_of_the_simulated_node_reach_the_host(fault: str, value: int, kind: str, count: int | None) -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     with bench.running():
         bench.begin()
         bench.time.pass_time(0.5)
@@ -487,7 +490,7 @@ def test_faults_of_the_simulated_node_reach_the_host(fault: str, value: int, kin
 
 
 def test_a_node_without_supply_starts_again_by_the_beacon_and_a_lost_beacon_is_a_restart() -> None:
-    bench = DriverBench(MicroStrain())
+    bench = DriverBench(DRIVER)
     with bench.running():
         bench.begin()
         bench.time.pass_time(1.0)

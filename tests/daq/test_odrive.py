@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Any, ClassVar, cast
+from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.drivers.contract import Driver
+from daq.drivers.driver import Driver
 from daq.drivers.odrive import stream, wire
 from daq.drivers.odrive.control import OdriveControl
-from daq.drivers.odrive.driver import DRIVER, OdriveDriver
+from daq.drivers.odrive.driver import DRIVER
 from daq.drivers.odrive.far_end import SimulatedOdrive
 from daq.drivers.odrive.settings import Odrive
 from daq.drivers.odrive.stream import OdrivePipeline
@@ -37,11 +38,8 @@ def axis(**settings: Any) -> Odrive:
     return Odrive.model_validate(table)
 
 
-def variant(**settings: Any) -> OdriveDriver:
-    class Variant(OdriveDriver):
-        example: ClassVar[Mapping[str, Any]] = {**OdriveDriver.example, **settings}
-
-    return Variant()
+def variant(**settings: Any) -> Driver:
+    return replace(DRIVER, example={**DRIVER.example, **settings})
 
 
 def text(*frames: CanFrame) -> bytes:

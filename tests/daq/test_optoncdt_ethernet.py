@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ import rig_testing
 from daq.acquisition.session import Session
 from daq.channels import displacement_channel
 from daq.drivers.optoncdt_ethernet import wire
-from daq.drivers.optoncdt_ethernet.driver import EthernetDriver
+from daq.drivers.optoncdt_ethernet.driver import DRIVER
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.drivers.optoncdt_ethernet.stream import EthernetPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -190,16 +190,15 @@ def test_words_without_one_distance_are_refused(words: tuple[str, ...]) -> None:
         settings(words=words)
 
 
-class _Three(EthernetDriver):
-    example: ClassVar = {"axis": "y", "words": ["SHUTTER", "INTENSITY", "DIST"], "scaling": "ILD1900", "serial": 12}
+_THREE = replace(
+    DRIVER, example={"axis": "y", "words": ["SHUTTER", "INTENSITY", "DIST"], "scaling": "ILD1900", "serial": 12}
+)
 
 
-class _Packets(EthernetDriver):
-    example: ClassVar = {"axis": "x", "counts": "packets", "rate_Hz": 20_000.0}
-    claims = frozenset[str]()
+_PACKETS = replace(DRIVER, example={"axis": "x", "counts": "packets", "rate_Hz": 20_000.0}, claims=frozenset[str]())
 
 
-KINDS = (_Three, _Packets)
+KINDS = (_THREE, _PACKETS)
 
 
 @pytest.mark.parametrize("case", kit_cases(KINDS))
@@ -405,9 +404,9 @@ def test_flags_that_name_other_values_are_reported_once() -> None:
     assert "sends INTENSITY, DIST, expected words = DIST, STATE" in line.doubt
     assert line.complaint == ""
     assert kinds(line.feed(RX, frames_packet(50, [[512, 10_000_000]] * 50, flags=1 << 8), S + 10_000_000)) == []
-    checks = EthernetDriver().checks(settings(words=["DIST", "STATE"]), line, None, [])
+    checks = DRIVER.checks(settings(words=["DIST", "STATE"]), line, None, [])
     assert [check.passed for check in checks.values()] == [False, True]
-    assert all(check.passed for check in EthernetDriver().checks(settings(), pipeline(), None, []).values())
+    assert all(check.passed for check in DRIVER.checks(settings(), pipeline(), None, []).values())
 
 
 def test_a_check_states_why_no_samples_are_taken() -> None:
@@ -415,7 +414,7 @@ def test_a_check_states_why_no_samples_are_taken() -> None:
     line = pipeline()
     for i in range(11):
         line.feed(RX, packet(100 * i, [32_760] * 100), S + i * 20_000_000)
-    check = EthernetDriver().checks(settings(), line, None, [])["packets"]
+    check = DRIVER.checks(settings(), line, None, [])["packets"]
     assert (check.passed, check.note) == (False, line.complaint)
     assert 'set scaling = "ILD1420"' in check.note
 
@@ -481,8 +480,8 @@ def test_a_sensor_is_recognised_with_the_values_that_its_flags_name(words: list[
     )
     flags &= 2**31 - 1
     data = b"".join(frames_packet(50 * i, [[1] * len(words)] * 50, flags) for i in range(6))
-    found = EthernetDriver().recognise(settings(), data[7:])
+    found = DRIVER.recognise(settings(), data[7:])
     assert found is not None
     assert found.settings == {"serial": 77} | ({"words": words} if len(words) > 1 else {})
-    assert EthernetDriver().recognise(settings(words=words), data) == found  # the search reads on with these values
-    assert EthernetDriver().recognise(settings(), frames_packet(0, [[1, 2, 3]] * 50)) is None
+    assert DRIVER.recognise(settings(words=words), data) == found  # the search reads on with these values
+    assert DRIVER.recognise(settings(), frames_packet(0, [[1, 2, 3]] * 50)) is None

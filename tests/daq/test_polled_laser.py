@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from pydantic import ValidationError
 import rig_testing
 from daq.channels import displacement_channel
 from daq.drivers.polled_laser import wire
-from daq.drivers.polled_laser.driver import PolledLaserDriver
+from daq.drivers.polled_laser.driver import DRIVER
 from daq.drivers.polled_laser.far_end import SimulatedPolledLaser
 from daq.drivers.polled_laser.settings import PolledLaser
 from daq.drivers.polled_laser.stream import PolledPipeline
@@ -296,16 +296,13 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], words: str) -
         sensor(**settings)
 
 
-class _LKG5000(PolledLaserDriver):
-    example: ClassVar = {"axis": "y", "dialect": "LK-G5000", "output": 7, "rate_Hz": 100.0}
+_LKG5000 = replace(DRIVER, example={"axis": "y", "dialect": "LK-G5000", "output": 7, "rate_Hz": 100.0})
 
 
-class _IL(PolledLaserDriver):
-    example: ClassVar = {"axis": "x", "dialect": "IL", "output": 2, "positive": "towards"}
+_IL = replace(DRIVER, example={"axis": "x", "dialect": "IL", "output": 2, "positive": "towards"})
 
 
-class _HLG1(PolledLaserDriver):
-    example: ClassVar = {"axis": "x", "dialect": "HL-G1", "output": 16, "parity": "O"}
+_HLG1 = replace(DRIVER, example={"axis": "x", "dialect": "HL-G1", "output": 16, "parity": "O"})
 
 
 @pytest.mark.parametrize("case", kit_cases((_LKG5000, _IL, _HLG1)))
@@ -317,7 +314,7 @@ def test_every_dialect_passes_the_tests_of_drivers(case: rig_testing.ContractCas
     ("fault", "words"), [("deaf", "no answer to"), ("refuses", "not possible in its present state")]
 )
 def test_a_sensor_that_cannot_be_opened_is_explained(fault: str, words: str) -> None:
-    bench = DriverBench(PolledLaserDriver())
+    bench = DriverBench(DRIVER)
     assert isinstance(bench.far, SimulatedPolledLaser)
     bench.far.fail(fault, 1)
     with bench.running(), pytest.raises(DeviceError, match=words):

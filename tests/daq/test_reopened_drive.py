@@ -31,7 +31,7 @@ def test_a_drive_sends_nothing_by_itself_while_it_is_opened_again(monkeypatch: p
     with Session(rig, sim.clock, edge=sim.edge) as session:
         drive = session.drive
         assert isinstance(drive, ConverterControl)
-        monkeypatch.setattr(DRIVER, "open", reopened)
+        monkeypatch.setitem(vars(DRIVER), "open", reopened)
         monkeypatch.setattr(drive._line, "_send", sent.append)  # it does not arrive, as without supply
         sim.ask("fail", device="inverter", what="power", value=1, seconds=60.0)
         for _ in range(100):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from pydantic import ValidationError
 import rig_testing
 from daq.channels import displacement_channel
 from daq.drivers.riftek_ethernet import identity, wire
-from daq.drivers.riftek_ethernet.driver import RiftekEthernet
+from daq.drivers.riftek_ethernet.driver import DRIVER
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -372,11 +373,10 @@ def test_impossible_settings_are_refused() -> None:
         settings(checksum="crc")
 
 
-class _Checked(RiftekEthernet):
-    example: ClassVar = {"axis": "y", "rate_Hz": 9400.0, "checksum": "sum", "serial": 12}
+_CHECKED = replace(DRIVER, example={"axis": "y", "rate_Hz": 9400.0, "checksum": "sum", "serial": 12})
 
 
-@pytest.mark.parametrize("case", kit_cases((_Checked,)))
+@pytest.mark.parametrize("case", kit_cases((_CHECKED,)))
 def test_a_sensor_with_a_check_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 
@@ -385,7 +385,7 @@ def test_a_sensor_with_a_check_passes_the_tests_of_drivers(case: rig_testing.Con
     ("fault", "value", "kind"), [("dropped", 3, "samples"), ("blocked", 1, "invalid"), ("repeats", 1, "")]
 )
 def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, kind: str) -> None:
-    bench = DriverBench(RiftekEthernet())
+    bench = DriverBench(DRIVER)
     with bench.running():
         bench.begin()
         bench.time.pass_time(0.5)
@@ -403,7 +403,7 @@ def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, k
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sensor_without_supply_starts_again(seed: int) -> None:
-    bench = DriverBench(RiftekEthernet(), seed=seed)
+    bench = DriverBench(DRIVER, seed=seed)
     with bench.running():
         bench.begin()
         bench.time.pass_time(1.0)

@@ -389,7 +389,7 @@ def test_what_the_driver_derives_from_its_settings() -> None:
     assert DRIVER.channels(config) == (channels.LASER_X,)
     (clock,) = DRIVER.clocks(config)
     assert (clock.topic, clock.rate_Hz, clock.field, clock.tick_ns) == ("laser/x", 4000.0, "device_ticks", 10_000)
-    DRIVER.prepare()
+    DRIVER.load()
     assert isinstance(DRIVER.pipeline("laser_x", config, {}), RiftekPipeline)
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 from daq.drivers.can_lines import OtherHost
-from daq.drivers.contract import Driver
+from daq.drivers.driver import Driver
 from daq.drivers.vesc import wire as vesc
 from daq.drivers.vesc_can import wire
-from daq.drivers.vesc_can.driver import DRIVER, VescCanDriver
+from daq.drivers.vesc_can.driver import DRIVER
 from daq.drivers.vesc_can.far_end import SimulatedVescCan
 from daq.drivers.vesc_can.settings import VescCan
 from daq.drivers.vesc_can.stream import can_pipeline
@@ -347,11 +348,8 @@ def test_another_host_is_reported_once_in_a_second() -> None:
 # --- the command ------------------------------------------------------------------------------------------------
 
 
-def variant(**settings: Any) -> VescCanDriver:
-    class Variant(VescCanDriver):
-        example: ClassVar[Mapping[str, Any]] = {**VescCanDriver.example, **settings}
-
-    return Variant()
+def variant(**settings: Any) -> Driver:
+    return replace(DRIVER, example={**DRIVER.example, **settings})
 
 
 @contextmanager

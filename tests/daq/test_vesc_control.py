@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import pytest
 
-from daq.drivers.contract import Driver, MeasuresTimeOut, RotorGuard, SpeedControl, TimeOut, TurnsRotor
+from daq.drivers.contract import MeasuresTimeOut, RotorGuard, SpeedControl, TimeOut
+from daq.drivers.driver import Driver
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.control import Mode, VescControl
 from daq.drivers.vesc.dialogue import identify
@@ -151,7 +152,7 @@ def test_the_driver_is_one() -> None:
     driver: Driver = DRIVER
     assert driver.name == "vesc"
     assert DRIVER.settings is Vesc
-    assert isinstance(DRIVER, TurnsRotor)
+    assert DRIVER.speed_source is not None
     assert DRIVER.line(SETTINGS).baud == 115_200
     assert [channel.topic for channel in DRIVER.channels(SETTINGS)] == ["motor"]
     assert DRIVER.clocks(SETTINGS) == ()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from daq.drivers.vesc.driver import DRIVER, VescDriver
+from daq.drivers.vesc.driver import DRIVER
 from rig_cli.main import run
 from rig_configs.drivers import installed
 from rig_testing import examination, mutations
@@ -18,11 +19,9 @@ from rig_testing.report import Failed
 KEPT = ("settings", "roles", "opening dialogue", "displacement", "stop")
 
 
-class Broken(VescDriver):
-    """Its stop raises what the contract does not know."""
-
-    def stop(self, talk: object) -> None:
-        raise RuntimeError("no such command")
+def stop_raises(settings: object, talk: object) -> None:
+    """Raise what the contract does not know."""
+    raise RuntimeError("no such command")
 
 
 @pytest.fixture
@@ -33,7 +32,7 @@ def few_tests(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def stranger(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("strangers_driver")
-    vars(module).update(BROKEN=Broken(), SOUND=DRIVER, NONE=7)
+    vars(module).update(BROKEN=replace(DRIVER, stop=stop_raises), SOUND=DRIVER, NONE=7)
     monkeypatch.setitem(sys.modules, "strangers_driver", module)
 
 

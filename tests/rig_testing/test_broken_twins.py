@@ -13,14 +13,17 @@ from pydantic import ConfigDict
 
 import rig_testing
 from daq import channels
-from daq.drivers.cia402.driver import Cia402
-from daq.drivers.contract import Driver, RotorGuard
-from daq.drivers.optoncdt.driver import OptoNcdt
+from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.driver import DRIVER as CIA402
+from daq.drivers.contract import RotorGuard
+from daq.drivers.driver import Driver
+from daq.drivers.optoncdt.driver import DRIVER as OPTONCDT
 from daq.drivers.played import PlayedDevice
-from daq.drivers.rotorlink.driver import RotorLink
+from daq.drivers.rotorlink.driver import DRIVER as ROTORLINK
 from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.rotorlink.settings import EncoderNode
-from daq.drivers.vesc.driver import VescDriver
+from daq.drivers.vesc.control import VescControl
+from daq.drivers.vesc.driver import DRIVER as VESC
 from daq.drivers.vesc.far_end import SimulatedVesc
 from daq.items import RX, Batch, DeviceEvent
 from rig_testing.examination import CHECKS
@@ -28,19 +31,16 @@ from rig_testing.examination import CHECKS
 Items = list[Batch | DeviceEvent]
 
 
-def with_pipeline(base: type, feed: Callable[..., Items], claims: frozenset[str] | None = None) -> Driver:
+def with_pipeline(driver: Driver, feed: Callable[..., Items], claims: frozenset[str] | None = None) -> Driver:
     """A driver whose pipeline's `feed` is another: called with the pipeline, the sound feed and a read."""
 
-    class Twin(base):
-        def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Any:
-            sound = super().pipeline(device, settings, identity)
-            given = sound.feed
-            sound.feed = lambda direction, data, host_ns: feed(sound, given, direction, data, host_ns)
-            return sound
+    def pipeline(device: str, settings: Any, identity: Mapping[str, Any]) -> Any:
+        sound = driver.pipeline(device, settings, identity)
+        given = sound.feed
+        sound.feed = lambda direction, data, host_ns: feed(sound, given, direction, data, host_ns)
+        return sound
 
-    if claims is not None:
-        Twin.claims = claims
-    return Twin()
+    return replace(driver, pipeline=pipeline, claims=driver.claims if claims is None else claims)
 
 
 def on_batches(change: Callable[[Batch], Batch | None]) -> Callable[..., Items]:
@@ -68,105 +68,52 @@ def column(name: str, change: Callable[[Any], Any]) -> Callable[[Batch], Batch]:
 # --- what is broken in the device's own part -----------------------------------------------------------------------
 
 
-class WrongExample(VescDriver):
-    example = {"pole_pairs": 7}  # noqa: RUF012
+class LaxNode(EncoderNode):
+    model_config = ConfigDict(extra="ignore")
 
 
-class TakesAnything(RotorLink):
-    class Lax(EncoderNode):
-        model_config = ConfigDict(extra="ignore")
-
-    settings = Lax
+class AstrayNode(EncoderNode):
+    def roles(self, device: str) -> Any:
+        return super().roles("encoder")
 
 
-class ChannelWithoutRole(RotorLink):
-    def occasional(self, settings: Any) -> tuple[channels.Channel, ...]:
-        return (channels.TACHO, channels.MOTOR)
+def stop_raises(settings: Any, talk: Any) -> None:
+    raise RuntimeError("no such command")
 
 
-class RoleOfAnother(RotorLink):
-    class Astray(EncoderNode):
-        def roles(self, device: str) -> Any:
-            return super().roles("encoder")
-
-    settings = Astray
+def stops_for_ever(settings: Any, talk: Any) -> None:
+    talk.send(b"BAUDRATE 9600\nOUTPUT NONE\n")
+    talk.closed = True
 
 
-class IdentityOfArrays(RotorLink):
-    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
-        return {"serial": np.arange(3)}
+def stop_of_a_lost_link_raises(settings: Any, talk: Any) -> None:
+    try:
+        OPTONCDT.stop(settings, talk)
+    except Exception as error:
+        raise OSError("write failed") from error
 
 
-class IdentityOfTuples(RotorLink):
-    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
-        return {"words": (1, 2)}
-
-
-class WaitsForever(RotorLink):
-    def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
-        return {"reply": talk.replies.get()}
-
-
-class StopRaises(RotorLink):
-    def stop(self, talk: Any) -> None:
-        raise RuntimeError("no such command")
-
-
-class CannotBeOpenedAgain(OptoNcdt):
-    def stop(self, talk: Any) -> None:
-        talk.send(b"BAUDRATE 9600\nOUTPUT NONE\n")
-        talk.closed = True
-
-
-class StopOfALostLinkRaises(OptoNcdt):
-    def stop(self, talk: Any) -> None:
-        try:
-            super().stop(talk)
-        except Exception as error:
-            raise OSError("write failed") from error
-
-
-class TakesSilenceForOff(VescDriver):
+def takes_silence_for_off(settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
     """`disable` does not check that the controller answers."""
-
-    def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
-        control = super().speed_source(settings, send, clock, guard)
-        control._release = lambda: True
-        return control
+    control = VescControl(settings, send, clock, guard)
+    control._release = lambda: True
+    return control
 
 
-class RequestsNoPermission(Cia402):
-    def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
-        return super().speed_source(settings, send, clock, replace(guard, permit=lambda rpm: None))
+def requests_no_permission(settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
+    return DriveControl(settings, send, clock, replace(guard, permit=lambda rpm: None))
 
 
-class NoTimeout(VescDriver):
-    def far_end(self, device: str, settings: Any, world: Any) -> SimulatedVesc:
-        return SimulatedVesc(settings, world.motion, timeout_s=1e9)
+def locks_only_acknowledge(settings: Any, send: Any, clock: Any) -> Any:
+    class Idle(NodeLocks):
+        def command(self, action: str, check: Callable[[], None]) -> None:
+            check()
+            send(b"")
+
+    return Idle(send, clock)
 
 
-class LocksOnlyAcknowledge(RotorLink):
-    def locks(self, settings: Any, send: Any, clock: Any) -> Any:
-        class Idle(NodeLocks):
-            def command(self, action: str, check: Callable[[], None]) -> None:
-                check()
-                send(b"")
-
-        return Idle(send, clock)
-
-
-class StandInSaysNothing(OptoNcdt):
-    def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
-        return PlayedDevice()
-
-
-class StopsNothing(OptoNcdt):
-    def stop(self, talk: Any) -> None:
-        pass
-
-
-class UnknownClaim(RotorLink):
-    claims = frozenset({"never wrong"})
+STOP_RAISES = replace(ROTORLINK, stop=stop_raises)
 
 
 # --- what is broken in its pipeline ----------------------------------------------------------------------------
@@ -261,101 +208,141 @@ def hoards(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int)
     return given(direction, data, host_ns)
 
 
-BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
-    "an invalid example": ("settings", WrongExample, "timeout_s"),
-    "settings that take any key": ("settings", TakesAnything, "unknown key"),
-    "an unknown claim": ("settings", UnknownClaim, "never wrong"),
-    "a channel without a role": ("roles", ChannelWithoutRole, "expected the same"),
-    "a role of another device": ("roles", RoleOfAnother, "'encoder', expected 'device'"),
-    "an identity of arrays": ("opening dialogue", IdentityOfArrays, "not JSON"),
-    "an identity that JSON changes": ("opening dialogue", IdentityOfTuples, "through JSON"),
-    "a wait without a timeout": ("silent device", WaitsForever, "without a timeout"),
+BROKEN: dict[str, tuple[str, Driver, str]] = {
+    "an invalid example": ("settings", replace(VESC, example={"pole_pairs": 7}), "timeout_s"),
+    "settings that take any key": ("settings", replace(ROTORLINK, settings=LaxNode), "unknown key"),
+    "an unknown claim": ("settings", replace(ROTORLINK, claims=frozenset({"never wrong"})), "never wrong"),
+    "a channel without a role": (
+        "roles",
+        replace(ROTORLINK, occasional=lambda settings: (channels.TACHO, channels.MOTOR)),
+        "expected the same",
+    ),
+    "a role of another device": ("roles", replace(ROTORLINK, settings=AstrayNode), "'encoder', expected 'device'"),
+    "an identity of arrays": (
+        "opening dialogue",
+        replace(ROTORLINK, open=lambda *_: {"serial": np.arange(3)}),
+        "not JSON",
+    ),
+    "an identity that JSON changes": (
+        "opening dialogue",
+        replace(ROTORLINK, open=lambda *_: {"words": (1, 2)}),
+        "through JSON",
+    ),
+    "a wait without a timeout": (
+        "silent device",
+        replace(ROTORLINK, open=lambda device, settings, talk: {"reply": talk.replies.get()}),
+        "without a timeout",
+    ),
     "a sample dropped in silence": (
         "stream",
-        lambda: with_pipeline(RotorLink, on_batches(drops_a_sample)),
+        with_pipeline(ROTORLINK, on_batches(drops_a_sample)),
         "no loss was counted",
     ),
     "times of the device's own clock": (
         "stream",
-        lambda: with_pipeline(RotorLink, on_batches(lambda b: replace(b, time_ns=b.time_ns - 10**12))),
+        with_pipeline(ROTORLINK, on_batches(lambda b: replace(b, time_ns=b.time_ns - 10**12))),
         "away from the host's",
     ),
     "the wrong sign": (
         "displacement",
-        lambda: with_pipeline(OptoNcdt, on_batches(column("displacement_m", np.negative))),
+        with_pipeline(OPTONCDT, on_batches(column("displacement_m", np.negative))),
         "sign",
     ),
     "degrees in place of radians": (
         "pendulum angles",
-        lambda: with_pipeline(RotorLink, on_batches(column("theta3_rad", np.degrees))),
+        with_pipeline(ROTORLINK, on_batches(column("theta3_rad", np.degrees))),
         "57.",
     ),
     "every other mark": (
         "rotor phase",
-        lambda: with_pipeline(
-            RotorLink,
+        with_pipeline(
+            ROTORLINK,
             on_batches(lambda b: None if b.channel.topic == "tacho" and int(b.columns["revolutions"][0]) % 2 else b),
         ),
         "marks in",
     ),
     "electrical speed": (
         "speed",
-        lambda: with_pipeline(VescDriver, on_batches(column("speed_rpm", lambda v: 7 * v))),
+        with_pipeline(VESC, on_batches(column("speed_rpm", lambda v: 7 * v))),
         "rpm off",
     ),
     "state that pipelines share": (
         "replay",
-        lambda: with_pipeline(RotorLink, shares_a_count([])),
+        with_pipeline(ROTORLINK, shares_a_count([])),
         "differs in sequence",
     ),
-    "short reads dropped": ("split", lambda: with_pipeline(RotorLink, drops_short_reads), "reads of 1 byte"),
-    "a crash on garbage": ("garbage", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError: 'unknown frame'"),
-    "losses dropped": ("garbage", lambda: with_pipeline(RotorLink, drops_losses), "no loss was counted"),
-    "one loss too many": ("damage", lambda: with_pipeline(RotorLink, miscounts), "claims to count exactly"),
-    "lost bytes dropped": ("damage", lambda: with_pipeline(Cia402, drops_losses), "no loss was counted"),
-    "losses without an event": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event reports it"),
-    "a claim that does not hold": ("lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
+    "short reads dropped": ("split", with_pipeline(ROTORLINK, drops_short_reads), "reads of 1 byte"),
+    "a crash on garbage": ("garbage", with_pipeline(ROTORLINK, crashes_on_damage), "KeyError: 'unknown frame'"),
+    "losses dropped": ("garbage", with_pipeline(ROTORLINK, drops_losses), "no loss was counted"),
+    "one loss too many": ("damage", with_pipeline(ROTORLINK, miscounts), "claims to count exactly"),
+    "lost bytes dropped": ("damage", with_pipeline(CIA402, drops_losses), "no loss was counted"),
+    "losses without an event": ("lost reads", with_pipeline(ROTORLINK, keeps_quiet), "no event reports it"),
+    "a claim that does not hold": ("lost reads", with_pipeline(OPTONCDT, miscounts), "claims to count exactly"),
     "samples that wait for ever": (
         "end",
-        lambda: with_pipeline(OptoNcdt, waits_after_a_late_read),
+        with_pipeline(OPTONCDT, waits_after_a_late_read),
         "samples are missing, 0 counted",
     ),
-    "an end that gives again": ("end", lambda: with_pipeline(OptoNcdt, gives_twice), "given again"),
-    "a loss that no end shows": ("end", lambda: with_pipeline(OptoNcdt, drops_losses), "0 counted as lost"),
+    "an end that gives again": ("end", with_pipeline(OPTONCDT, gives_twice), "given again"),
+    "a loss that no end shows": ("end", with_pipeline(OPTONCDT, drops_losses), "0 counted as lost"),
     "deaf after a restart": (
         "restart",
-        lambda: with_pipeline(OptoNcdt, ends_at_a_restart),
+        with_pipeline(OPTONCDT, ends_at_a_restart),
         "samples came after a restart",
     ),
-    "a wrap taken for a restart": ("counter wrap", lambda: with_pipeline(OptoNcdt, restarts_at_a_wrap), "restart"),
+    "a wrap taken for a restart": ("counter wrap", with_pipeline(OPTONCDT, restarts_at_a_wrap), "restart"),
     "a clock that is not unwrapped": (
         "clock wrap",
-        lambda: with_pipeline(RotorLink, on_batches(column("node_time_us", lambda v: v % np.uint64(2**32)))),
+        with_pipeline(ROTORLINK, on_batches(column("node_time_us", lambda v: v % np.uint64(2**32)))),
         "node_time_us",
     ),
-    "all bytes kept": ("memory", lambda: with_pipeline(Cia402, hoards), "it uses"),
-    "a crash on damage": ("mutations", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError"),
+    "all bytes kept": ("memory", with_pipeline(CIA402, hoards), "it uses"),
+    "a crash on damage": ("mutations", with_pipeline(ROTORLINK, crashes_on_damage), "KeyError"),
     "a checksum there is not": (
         "mutations",
-        lambda: with_pipeline(Cia402, on_batches(lambda b: b), frozenset({"checksum"})),
+        with_pipeline(CIA402, on_batches(lambda b: b), frozenset({"checksum"})),
         "claims a checksum",
     ),
-    "a stop that raises": ("stop", StopRaises, "RuntimeError: no such command"),
-    "a stop that stops nothing": ("stop", StopsNothing, "claims that it falls silent"),
-    "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
-    "another error than the contract's": ("link lost", StopOfALostLinkRaises, "got OSError"),
-    "permission not requested": ("speed source", RequestsNoPermission, "permit raises, it raised nothing"),
-    "silence taken for off": ("speed source", TakesSilenceForOff, "disable: the device does not answer"),
-    "no time-out of its own": ("stops by itself", NoTimeout, "turns at"),
-    "locks that do nothing": ("locks", LocksOnlyAcknowledge, "the flags are"),
-    "a stand-in without a word": ("played", StandInSaysNothing, "no answer"),
+    "a stop that raises": ("stop", STOP_RAISES, "RuntimeError: no such command"),
+    "a stop that stops nothing": (
+        "stop",
+        replace(OPTONCDT, stop=lambda settings, talk: None),
+        "claims that it falls silent",
+    ),
+    "a stop after which nothing opens": ("stop", replace(OPTONCDT, stop=stops_for_ever), "LinkLost"),
+    "another error than the contract's": (
+        "link lost",
+        replace(OPTONCDT, stop=stop_of_a_lost_link_raises),
+        "got OSError",
+    ),
+    "permission not requested": (
+        "speed source",
+        replace(CIA402, speed_source=requests_no_permission),
+        "permit raises, it raised nothing",
+    ),
+    "silence taken for off": (
+        "speed source",
+        replace(VESC, speed_source=takes_silence_for_off),
+        "disable: the device does not answer",
+    ),
+    "no time-out of its own": (
+        "stops by itself",
+        replace(VESC, far_end=lambda device, settings, world: SimulatedVesc(settings, world.motion, timeout_s=1e9)),
+        "turns at",
+    ),
+    "locks that do nothing": ("locks", replace(ROTORLINK, locks=locks_only_acknowledge), "the flags are"),
+    "a stand-in without a word": (
+        "played",
+        replace(OPTONCDT, played=lambda settings, identity: PlayedDevice()),
+        "no answer",
+    ),
 }
 
 
 @pytest.mark.parametrize("how", BROKEN)
 def test_a_broken_driver_fails_for_the_right_reason(how: str) -> None:
-    name, make, why = BROKEN[how]
-    (case,) = [case for case in rig_testing.cases(make()) if case.name == name]
+    name, driver, why = BROKEN[how]
+    (case,) = [case for case in rig_testing.cases(driver) if case.name == name]
     outcome = case.run()
     assert not outcome.passed, f"passed: {outcome.why}"
     assert re.search(re.escape(why), outcome.why), outcome.why
@@ -366,7 +353,7 @@ def test_every_test_of_the_kit_has_been_seen_red() -> None:
 
 
 def test_what_does_not_apply_is_skipped_and_a_report_states_why() -> None:
-    report = rig_testing.examine(StopRaises())
+    report = rig_testing.examine(STOP_RAISES)
     assert [outcome.name for outcome in report.failed] == ["stop", "link lost"]
     assert not report.passed
     skipped = {outcome.name: outcome.why for outcome in report.outcomes if not outcome.tried}

@@ -19,40 +19,31 @@ from tests.example_wheel import python_with
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "rig_driver_tilt"
 
-TWINS = '''
+TWINS = """
 from dataclasses import replace
-from rig_driver_tilt import line
-from rig_driver_tilt.driver import TiltDriver
-from rig_driver_tilt.pipeline import TiltPipeline
+from daq.drivers.line_sensor import LinePipeline
+from rig_driver_tilt import COUNT, DRIVER, SAMPLE, UNIT_RAD, Reading, channel, parse
 
-class Unchecked(TiltPipeline):
-    """It accepts anything that looks like a line."""
+def unchecked(line):
+    found = SAMPLE.match(line)
+    if found is None:
+        return parse(line)
+    number, ms, x, y = map(int, found.groups())
+    return Reading(number, (x * UNIT_RAD, y * UNIT_RAD), ms)
 
+class Forgetful(LinePipeline):
     def feed(self, direction, data, host_ns):
-        sound, line.parse = line.parse, lambda text: sound_or_not(sound, text)
-        try:
-            return super().feed(direction, data, host_ns)
-        finally:
-            line.parse = sound
+        out = super().feed(direction, data, host_ns)
+        self.losses["samples"] = 0
+        return [item for item in out if getattr(item, "kind", "") != "gap"]
 
-def sound_or_not(sound, text):
-    found = line._SAMPLE.match(text)
-    return line.Sample(*map(int, found.groups())) if found else sound(text)
+def with_pipeline(kind, parse):
+    def pipeline(device, settings, identity):
+        return kind(device, channel(settings), COUNT, parse, settings.clock_tolerance_ppm, identity)
+    return replace(DRIVER, pipeline=pipeline)
 
-class Forgetful(TiltPipeline):
-    """It does not count missing samples."""
-
-    def _gap(self, found):
-        return []
-
-def driver(kind):
-    class Twin(TiltDriver):
-        def pipeline(self, device, settings, identity):
-            return kind(device, self.channels(settings)[0], settings.clock_tolerance_ppm)
-    return Twin()
-
-UNCHECKED, FORGETFUL = driver(Unchecked), driver(Forgetful)
-'''
+UNCHECKED, FORGETFUL = with_pipeline(LinePipeline, unchecked), with_pipeline(Forgetful, parse)
+"""
 
 RECORD = """
 import sys

@@ -6,12 +6,13 @@ import itertools
 import queue
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 import rig_testing
-from daq.drivers.rotorlink.driver import RotorLink
+from daq.drivers.rotorlink.driver import DRIVER
 from rig_testing import examination
 from rig_testing.simulated_time import EndlessWait, SimulatedTime
 
@@ -122,13 +123,12 @@ def test_a_thread_that_is_left_over_goes_on_in_real_time() -> None:
 
 @pytest.mark.skipif(not hasattr(examination.signal, "setitimer"), reason="nothing here can end what hangs")
 def test_a_driver_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Endless(RotorLink):
-        def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
-            while True:
-                pass
+    def endless(device: str, settings: Any, talk: Any) -> dict[str, Any]:
+        while True:
+            pass
 
     monkeypatch.setattr(examination, "_LONGEST_S", 0.3)
-    (case,) = [case for case in rig_testing.cases(Endless()) if case.name == "opening dialogue"]
+    (case,) = [case for case in rig_testing.cases(replace(DRIVER, open=endless)) if case.name == "opening dialogue"]
     outcome = case.run()
     assert not outcome.passed
     assert "it hangs" in outcome.why

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import Any
 from unittest import SkipTest
 
@@ -12,7 +11,7 @@ import pytest
 
 import rig_testing
 from daq.channels import Channel
-from daq.drivers.plain import PlainDriver
+from daq.drivers.driver import Driver
 from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.items import TX, Batch, DeviceEvent
 from rig_configs.device import DeviceSettings
@@ -73,22 +72,20 @@ class Room(FarEnd):
         return b"".join(f"{20 + 0.01 * n:+07.2f} C\r\n".encode() for n in due)
 
 
-class ThermometerDriver(PlainDriver):
-    """Its driver."""
-
-    name, settings = "thermometer", Thermometer
-
-    def channels(self, settings: DeviceSettings) -> tuple[Channel, ...]:
-        return (Channel("temperature", "thermometer.Reading", (("temperature_degC", "double"),)),)
-
-    def pipeline(self, device: str, settings: DeviceSettings, identity: Mapping[str, Any]) -> Readings:
-        return Readings(device, self.channels(settings)[0])
-
-    def far_end(self, device: str, settings: DeviceSettings, world: Any) -> FarEnd:
-        return Room(world, device)
+def _channels(settings: DeviceSettings) -> tuple[Channel, ...]:
+    return (Channel("temperature", "thermometer.Reading", (("temperature_degC", "double"),)),)
 
 
-@pytest.mark.parametrize("case", rig_testing.cases(ThermometerDriver()), ids=str)
+THERMOMETER = Driver(
+    name="thermometer",
+    settings=Thermometer,
+    channels=_channels,
+    pipeline=lambda device, settings, identity: Readings(device, _channels(settings)[0]),
+    far_end=lambda device, settings, world: Room(world, device),
+)
+
+
+@pytest.mark.parametrize("case", rig_testing.cases(THERMOMETER), ids=str)
 def test_it_passes(case: rig_testing.ContractCase) -> None:
     try:
         case()

@@ -14,7 +14,7 @@ _PROFILE = 402
 
 
 def recognise(settings: MotorDrive, data: bytes) -> FoundDevice | None:
-    """Return the node with the most reports of a valid CiA 402 state; see RecognisesBytes."""
+    """Return the node with the most reports of a valid CiA 402 state; see `Driver.recognise`."""
     reports = Counter[int]()
     for frame in frames_in(data):
         node = frame.arbitration_id - cia301.cob_tpdo(1, 0)

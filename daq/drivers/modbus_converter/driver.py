@@ -2,86 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from daq import channels
-from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
+from daq.drivers.contract import DeviceLine, Pipeline, SpeedControl, Talk
+from daq.drivers.driver import Driver, parts_of
 from daq.drivers.modbus_converter.settings import ModbusConverter
-from daq.drivers.plain import PlainDriver
+from daq.drivers.plain import motor_channels
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 
-if TYPE_CHECKING:
-    from daq.transports.host_clock import HostClock
+
+def _line(settings: ModbusConverter) -> DeviceLine:
+    return DeviceLine(settings.port, settings.baud, parity=settings.parity, stop_bits=settings.stop_bits)
 
 
-class ModbusConverterDriver(PlainDriver):
-    """See Driver."""
+def _pipeline(device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> Pipeline:
+    from daq.drivers.modbus_converter.stream import ConverterPipeline
 
-    name = "modbus_converter"
-    rest_s: float = 0.005
-    settings = ModbusConverter
-    example: ClassVar[Mapping[str, Any]] = {"table": "generic"}
-    claims: frozenset[str] = frozenset({"checksum", "falls silent"})
-
-    def line(self, settings: ModbusConverter) -> DeviceLine:
-        """See Driver."""
-        return DeviceLine(settings.port, settings.baud, parity=settings.parity, stop_bits=settings.stop_bits)
-
-    def channels(self, settings: ModbusConverter) -> tuple[Channel, ...]:
-        """See Driver."""
-        return (channels.MOTOR,)
-
-    def pipeline(self, device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> Pipeline:
-        """See Driver."""
-        from daq.drivers.modbus_converter.stream import ConverterPipeline
-
-        return ConverterPipeline(device, settings)
-
-    def words(self, event: DeviceEvent) -> str:
-        """See Driver."""
-        return event.text if event.facts["error_code"] or event.facts.get("restart") else ""
-
-    def checks(
-        self, settings: ModbusConverter, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
-    ) -> Checks:
-        """See Driver: the converter's state, its faults, and requests that it refused."""
-        from daq.drivers.modbus_converter.status_checks import converter_checks
-
-        return converter_checks(pipeline, control, events)
-
-    def far_end(self, device: str, settings: ModbusConverter, world: Any) -> FarEnd:
-        """See Driver."""
-        from daq.drivers.modbus_converter.far_end import SimulatedConverter
-
-        return SimulatedConverter.of(settings, world)
-
-    def played(self, settings: ModbusConverter, identity: Mapping[str, Any]) -> PlayedDevice:
-        """See Driver."""
-        from daq.drivers.modbus_converter.played import PlayedConverter
-
-        return PlayedConverter(settings)
-
-    def open(self, device: str, settings: ModbusConverter, talk: Talk) -> dict[str, Any]:
-        """See Driver. The converter is polled by its command (`control`)."""
-        from daq.drivers.modbus_converter.dialogue import identify
-
-        return {"driver": self.name, **identify(device, settings, talk)}
-
-    def stop(self, talk: Talk) -> None:
-        """See Driver; the converter's command (`control`) has stopped it."""
-
-    def speed_source(
-        self, settings: ModbusConverter, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> SpeedControl:
-        """See TurnsRotor."""
-        from daq.drivers.modbus_converter.control import ConverterControl
-
-        return ConverterControl(settings, send, clock, guard)
+    return ConverterPipeline(device, settings)
 
 
-DRIVER = ModbusConverterDriver()
+def _words(event: DeviceEvent) -> str:
+    return event.text if event.facts["error_code"] or event.facts.get("restart") else ""
+
+
+def _checks(
+    settings: ModbusConverter, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
+) -> Checks:
+    """Return the converter's state, its faults, and requests that it refused."""
+    from daq.drivers.modbus_converter.status_checks import converter_checks
+
+    return converter_checks(pipeline, control, events)
+
+
+def _far_end(device: str, settings: ModbusConverter, world: Any) -> FarEnd:
+    from daq.drivers.modbus_converter.far_end import SimulatedConverter
+
+    return SimulatedConverter.of(settings, world)
+
+
+def _played(settings: ModbusConverter, identity: Mapping[str, Any]) -> PlayedDevice:
+    from daq.drivers.modbus_converter.played import PlayedConverter
+
+    return PlayedConverter(settings)
+
+
+def _open(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, Any]:
+    """Query the converter. It is polled by its command (`control`)."""
+    from daq.drivers.modbus_converter.dialogue import identify
+
+    return {"driver": "modbus_converter", **identify(device, settings, talk)}
+
+
+_part = parts_of("daq.drivers.modbus_converter")
+DRIVER = Driver(
+    name="modbus_converter",
+    settings=ModbusConverter,
+    rest_s=0.005,
+    example={"table": "generic"},
+    claims=frozenset({"checksum", "falls silent"}),
+    line=_line,
+    channels=motor_channels,
+    pipeline=_pipeline,
+    words=_words,
+    checks=_checks,
+    far_end=_far_end,
+    played=_played,
+    open=_open,
+    speed_source=_part("control:ConverterControl"),
+)

@@ -3,96 +3,68 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import partial
+from typing import Any
 
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl, Talk
-from daq.drivers.identification import IdentityTurns
+from daq.drivers.driver import Driver, parts_of
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.settings import Laser
-from daq.drivers.plain import DisplacementDriver
+from daq.drivers.plain import displacement_channels, displacement_clocks
 from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 from rig_basics.texts import number_of
 
-if TYPE_CHECKING:
+
+def _pipeline(device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
     from daq.drivers.optoncdt.stream import LaserPipeline
 
-
-class OptoNcdt(DisplacementDriver):
-    """See Driver."""
-
-    name = "optoncdt"
-    settings = Laser
-    count_wrap: int = 2**18
-    example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
-    claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
-    usual: tuple[Mapping[str, Any], ...] = (
-        {},
-        {"baud": 691_200},
-        {"baud": 115_200},
-        {"baud": 230_400},
-        {"baud": 460_800},
-        {"baud": 1_000_000},
-    )
-
-    def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
-        """See Driver."""
-        from daq.drivers.optoncdt.stream import LaserPipeline  # imports numba
-
-        (channel,) = self.channels(settings)
-        return LaserPipeline(device, settings, channel, identity)
-
-    def far_end(self, device: str, settings: Laser, world: Any) -> FarEnd:
-        """See Driver."""
-        from daq.drivers.optoncdt.far_end import SimulatedLaser
-
-        return SimulatedLaser.of(device, settings, world)
-
-    def played(self, settings: Laser, identity: Mapping[str, Any]) -> PlayedDevice:
-        """See Driver."""
-        from daq.drivers.optoncdt.played import PlayedLaser
-
-        return PlayedLaser(identity, settings)
-
-    def checks(
-        self, settings: Any, pipeline: LaserPipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
-    ) -> Checks:
-        """See Driver: the meaning of the error codes in place of distances, if there were any."""
-        if not pipeline.error_codes:
-            return {}
-        code, count = max(pipeline.error_codes.items(), key=lambda found: found[1])
-        meaning = self.code_meaning(code) or "not in the manuals"
-        remedy = distance_words.REMEDIES.get(code)
-        note = f"in {number_of(count, 'sample')}" + (f": {remedy}" if remedy else "")
-        return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, note)}
-
-    def code_meaning(self, code: int) -> str:
-        """See NamesCodes."""
-        return distance_words.ERROR_CODES.get(code, "")
-
-    def prepare(self) -> None:
-        """See Driver."""
-        from daq.drivers.spikes import compile_watch
-
-        compile_watch()
-
-    def open(self, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
-        """See Driver."""
-        from daq.drivers.optoncdt.dialogue import configure
-
-        return configure(device, settings, talk)
-
-    def stop(self, talk: Talk) -> None:
-        """See Driver."""
-        talk.send(b"OUTPUT NONE\n")
-
-    def identity_request(self, settings: Laser) -> IdentityTurns:
-        """See AnswersIdentityRequest."""
-        from daq.drivers.optoncdt.identity import identity_turns
-
-        return identity_turns(settings)
+    (channel,) = displacement_channels(settings)
+    return LaserPipeline(device, settings, channel, identity)
 
 
-DRIVER = OptoNcdt()
+def _played(settings: Laser, identity: Mapping[str, Any]) -> PlayedDevice:
+    from daq.drivers.optoncdt.played import PlayedLaser
+
+    return PlayedLaser(identity, settings)
+
+
+def _checks(settings: Laser, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+    """Return the meaning of the error codes in place of distances, if there were any."""
+    if not pipeline.error_codes:
+        return {}
+    code, count = max(pipeline.error_codes.items(), key=lambda found: found[1])
+    meaning = _code_meaning(code) or "not in the manuals"
+    remedy = distance_words.REMEDIES.get(code)
+    note = f"in {number_of(count, 'sample')}" + (f": {remedy}" if remedy else "")
+    return {"error_code": DeviceCheck(f"{code}: {meaning}", None, True, note)}
+
+
+def _code_meaning(code: int) -> str:
+    return distance_words.ERROR_CODES.get(code, "")
+
+
+def _stop(settings: Laser, talk: Talk) -> None:
+    talk.send(b"OUTPUT NONE\n")
+
+
+_part = parts_of("daq.drivers.optoncdt")
+DRIVER = Driver(
+    name="optoncdt",
+    settings=Laser,
+    example={"axis": "x"},
+    claims=frozenset({"counts exactly", "falls silent"}),
+    usual=({}, *({"baud": baud} for baud in (691_200, 115_200, 230_400, 460_800, 1_000_000))),
+    channels=displacement_channels,
+    clocks=partial(displacement_clocks, 2**18),
+    pipeline=_pipeline,
+    far_end=_part("far_end:SimulatedLaser.of"),
+    played=_played,
+    checks=_checks,
+    code_meaning=_code_meaning,
+    compile=parts_of("daq.drivers")("spikes:compile_watch"),
+    open=_part("dialogue:configure"),
+    stop=_stop,
+    identity_request=_part("identity:identity_turns"),
+)

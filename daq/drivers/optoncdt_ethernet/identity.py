@@ -10,7 +10,7 @@ from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 
 
 def recognise(settings: EthernetLaser, data: bytes) -> FoundDevice | None:
-    """Return the serial number of the first packet, and the values of its frames; see RecognisesBytes.
+    """Return the serial number of the first packet, and the values of its frames; see `Driver.recognise`.
 
     The values are those of the settings if these fit the frames, otherwise those that the packet's flags name.
     """

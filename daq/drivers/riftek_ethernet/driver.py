@@ -3,49 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from functools import partial
+from typing import Any
 
 from daq.drivers.contract import DeviceLine, Pipeline, Talk
-from daq.drivers.identification import FoundDevice
-from daq.drivers.plain import DisplacementDriver
+from daq.drivers.driver import Driver, parts_of
+from daq.drivers.plain import displacement_channels, displacement_clocks
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
-from daq.drivers.simulated import FarEnd
 
 
-class RiftekEthernet(DisplacementDriver):
-    """See Driver."""
-
-    name = "riftek_ethernet"
-    settings = RiftekEthernetLaser
-    count_wrap: int = 2**32
-    example: ClassVar[Mapping[str, Any]] = {"axis": "x", "rate_Hz": 9400.0}
-    claims: frozenset[str] = frozenset({"counts exactly"})
-
-    def line(self, settings: RiftekEthernetLaser) -> DeviceLine:
-        """See Driver. The line is a UDP port, which has no rate."""
-        return DeviceLine(settings.port, 0)
-
-    def pipeline(self, device: str, settings: RiftekEthernetLaser, identity: Mapping[str, Any]) -> Pipeline:
-        """See Driver."""
-        from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
-
-        return RiftekEthernetPipeline(device, settings, self.channels(settings)[0], identity)
-
-    def far_end(self, device: str, settings: RiftekEthernetLaser, world: Any) -> FarEnd:
-        """See Driver."""
-        from daq.drivers.riftek_ethernet.far_end import SimulatedRiftekEthernet
-
-        return SimulatedRiftekEthernet.of(device, settings, world)
-
-    def open(self, device: str, settings: RiftekEthernetLaser, talk: Talk) -> dict[str, Any]:
-        """See Driver; the sensor sends without a command, and its packets have its serial number."""
-        return {"driver": self.name, "port": settings.port}
-
-    def recognise(self, settings: RiftekEthernetLaser, data: bytes) -> FoundDevice | None:
-        """See RecognisesBytes."""
-        from daq.drivers.riftek_ethernet.identity import recognise
-
-        return recognise(settings, data)
+def _line(settings: RiftekEthernetLaser) -> DeviceLine:
+    """Return a UDP port, which has no rate."""
+    return DeviceLine(settings.port, 0)
 
 
-DRIVER = RiftekEthernet()
+def _pipeline(device: str, settings: RiftekEthernetLaser, identity: Mapping[str, Any]) -> Pipeline:
+    from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
+
+    (channel,) = displacement_channels(settings)
+    return RiftekEthernetPipeline(device, settings, channel, identity)
+
+
+def _open(device: str, settings: RiftekEthernetLaser, talk: Talk) -> dict[str, Any]:
+    """Send nothing: the sensor sends without a command, and its packets have its serial number."""
+    return {"driver": "riftek_ethernet", "port": settings.port}
+
+
+_part = parts_of("daq.drivers.riftek_ethernet")
+DRIVER = Driver(
+    name="riftek_ethernet",
+    settings=RiftekEthernetLaser,
+    example={"axis": "x", "rate_Hz": 9400.0},
+    claims=frozenset({"counts exactly"}),
+    line=_line,
+    channels=displacement_channels,
+    clocks=partial(displacement_clocks, 2**32),
+    pipeline=_pipeline,
+    far_end=_part("far_end:SimulatedRiftekEthernet.of"),
+    open=_open,
+    recognise=_part("identity:recognise"),
+)

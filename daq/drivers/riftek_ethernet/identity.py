@@ -16,7 +16,7 @@ _RESULT_BYTES, _TAIL_BYTES = 3, 8
 
 
 def recognise(settings: RiftekEthernetLaser, data: bytes) -> FoundDevice | None:
-    """Return the sensor of the first two consecutive packets, or of the only one; see RecognisesBytes."""
+    """Return the sensor of the first two consecutive packets, or of the only one; see `Driver.recognise`."""
     if len(data) == wire.PACKET_BYTES and _is_plausible(only := wire.parse(data)):
         return _found(only)
     for at in range(min(wire.PACKET_BYTES, len(data) - 2 * wire.PACKET_BYTES + 1)):

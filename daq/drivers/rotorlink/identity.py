@@ -12,7 +12,7 @@ from daq.drivers.rotorlink.settings import EncoderNode
 
 
 def recognise(settings: EncoderNode, data: bytes) -> FoundDevice | None:
-    """Return number, sample rate and counts per revolution of the node that sends most blocks; see RecognisesBytes."""
+    """Return number, sample rate and counts per revolution of the node with most blocks; see `Driver.recognise`."""
     frames = [frame.inner if isinstance(frame, wire.Wrapped) else frame for frame in FrameDecoder().feed(data).frames]
     return node_of(frames, {"baud": settings.baud})
 

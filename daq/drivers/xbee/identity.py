@@ -14,7 +14,7 @@ _QUERIES: tuple[str, ...] = ("SH", "SL", "VR", "HV")
 def recognise(settings: XBeeNode, data: bytes) -> FoundDevice | None:
     """Return API mode, the address of the module that sends most of the RotorLink payloads, and its node.
 
-    See RecognisesBytes.
+    See `Driver.recognise`.
     """
     senders: dict[tuple[int, str], list[rotorlink.NodeFrame]] = {}
     for mode in (2, 1):

@@ -10,6 +10,7 @@ import threading
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,8 +24,9 @@ from daq.discovery.network import Announced, announced_devices
 from daq.discovery.opening import PortNotOpened, has_line_rate, open_port, programs_with
 from daq.discovery.ports import UsbIdentity, can_channels, serial_ports, usb_can_adapters, usb_facts
 from daq.discovery.tables import Table, device_tables
-from daq.drivers.contract import DeviceLine, Driver
-from daq.drivers.identification import Announcement, AnnouncesItself, FoundDevice, NetworkDevice, trial_settings
+from daq.drivers.contract import DeviceLine
+from daq.drivers.driver import Driver
+from daq.drivers.identification import Announcement, FoundDevice, NetworkDevice
 from daq.drivers.labjack import identity
 from daq.drivers.labjack.identity import found as found_labjack
 from daq.drivers.registry import driver
@@ -243,7 +245,7 @@ def test_a_link_to_a_terminal_is_a_terminal_which_its_own_program_may_keep_open(
 
 def table(name: str, where: str = "/dev/ttyUSB0", **settings: Any) -> Table:
     found: Driver = driver(name)
-    roles = trial_settings(found, where)[0].roles("device")
+    roles = found.example_at(where, **found.usual[0]).roles("device")
     return Table(found, where, FoundDevice(settings, {"serial": "7"}), roles)
 
 
@@ -331,7 +333,7 @@ class Announcing:
     """A driver's part that this module uses."""
 
     name: str
-    announcement: Announcement
+    announcement: Callable[[], Announcement]
 
 
 def read(data: bytes, sender: str) -> NetworkDevice | None:
@@ -359,14 +361,14 @@ class PromptClock(HostClock):
 
 
 def test_a_device_that_announces_itself_is_found_once() -> None:
-    own: Any = Announcing("a", Announcement(free_port(), read, wait_s=5.0))
+    own: Any = Announcing("a", partial(Announcement, free_port(), read, wait_s=5.0))
     stopping = threading.Event()
 
     def send() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
             while not stopping.wait(0.01):
                 for data in (b"noise", b"I am seven"):
-                    device.sendto(data, ("127.0.0.1", own.announcement.port))
+                    device.sendto(data, ("127.0.0.1", own.announcement().port))
 
     sender = threading.Thread(target=send)
     sender.start()
@@ -419,7 +421,7 @@ def asked(
 
 def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Any:
-        return Announcing("a", Announcement(0, read, b"who?", port, wait_s=5.0))
+        return Announcing("a", partial(Announcement, 0, read, b"who?", port, wait_s=5.0))
 
     (one,), request = asked(made, read, b"I am eight", monkeypatch)
     assert (request, one.device.found.identity) == (b"who?", {"name": "eight"})
@@ -427,7 +429,7 @@ def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyP
 
 def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
     labjack = driver("labjack")
-    assert isinstance(labjack, AnnouncesItself)
+    assert labjack.announcement is not None
     announcement = labjack.announcement
 
     def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Driver:

@@ -14,8 +14,8 @@ from daq.discovery import search as search_module
 from daq.discovery.opening import PortNotOpened
 from daq.discovery.search import PortSearch, Result
 from daq.discovery.trials import Trial, drivers_found, evidence_of, trials_of, usual_rate
-from daq.drivers.contract import DeviceLine, Driver
-from daq.drivers.identification import AnswersIdentityRequest, RecognisesBytes
+from daq.drivers.contract import DeviceLine
+from daq.drivers.driver import Driver
 from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
@@ -25,7 +25,7 @@ from tests.daq.far_end_on_port import PORT, Cable, CableLink, SilentDevice, Sour
 from tests.effort import cases, thorough
 
 DRIVERS, FAILED = drivers_found()
-ASKING = [each for each in DRIVERS if isinstance(each, AnswersIdentityRequest)]
+ASKING = [each for each in DRIVERS if each.identity_request is not None]
 
 
 def search(cable: Cable, ask: bool = False, drivers: list[Driver] = DRIVERS) -> Result:
@@ -418,7 +418,7 @@ def test_settings_that_are_refused_leave_the_trial_as_it_was() -> None:
 def test_recognising_drivers_take_bytes_of_any_device() -> None:
     rng = np.random.default_rng(2)
     for each in DRIVERS:
-        if isinstance(each, RecognisesBytes):
+        if each.recognise is not None:
             for trial in trials_of([each], "socket://h:1", False):
                 assert each.recognise(trial.settings, rng.bytes(3000)) is None
                 assert each.recognise(trial.settings, b"") is None

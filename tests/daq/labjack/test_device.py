@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -18,8 +19,9 @@ from pydantic import ValidationError
 import rig_testing
 from daq.acquisition.session import Session
 from daq.channels import TACHO
+from daq.drivers.driver import Driver
 from daq.drivers.labjack import wire
-from daq.drivers.labjack.driver import DRIVER, LabJackDriver
+from daq.drivers.labjack.driver import DRIVER
 from daq.drivers.labjack.far_end import SimulatedLabJack
 from daq.drivers.labjack.marks import EdgeFinder
 from daq.drivers.labjack.volts import nominal, read_constants
@@ -223,14 +225,11 @@ def running(example: Mapping[str, Any] | None = None) -> Iterator[tuple[DriverBe
         yield bench, far
 
 
-def _driver(table: dict[str, Any]) -> LabJackDriver:
-    class Other(LabJackDriver):
-        example: ClassVar[Mapping[str, Any]] = table
-
-    return Other()
+def _driver(table: dict[str, Any]) -> Driver:
+    return replace(DRIVER, example=table)
 
 
-def _cases(driver: LabJackDriver) -> list[Any]:
+def _cases(driver: Driver) -> list[Any]:
     """Without those that take long and do not depend on the settings."""
     others = [case for case in rig_testing.cases(driver) if "mutations" not in case.name and "wrap" not in case.name]
     return [pytest.param(case, marks=[thorough] if case.name in LONG else []) for case in others]

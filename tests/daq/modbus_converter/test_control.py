@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
 import rig_testing
+from daq.drivers.driver import Driver
 from daq.drivers.modbus_converter import states, wire
 from daq.drivers.modbus_converter.control import ConverterControl
-from daq.drivers.modbus_converter.driver import DRIVER, ModbusConverterDriver
+from daq.drivers.modbus_converter.driver import DRIVER
 from daq.drivers.modbus_converter.far_end import SimulatedConverter
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -20,31 +22,28 @@ from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
 from tests.daq.kit_cases import kit_cases
 
-
-class _INVT(ModbusConverterDriver):
-    example: ClassVar = {"table": "invt", "baud": 38_400, "slip": 0.002}
+_INVT = replace(DRIVER, example={"table": "invt", "baud": 38_400, "slip": 0.002})
 
 
-class _MMax(ModbusConverterDriver):
-    example: ClassVar = {"table": "m-max", "parity": "N", "stop_bits": 2, "watchdog_s": 2.0, "pole_pairs": 3}
+_MMAX = replace(DRIVER, example={"table": "m-max", "parity": "N", "stop_bits": 2, "watchdog_s": 2.0, "pole_pairs": 3})
 
 
-class _Altivar(ModbusConverterDriver):
-    example: ClassVar = {"table": "altivar", "gear": 2.0, "baud": 38_400}
+_ALTIVAR = replace(DRIVER, example={"table": "altivar", "gear": 2.0, "baud": 38_400})
 
 
-class _Others(ModbusConverterDriver):
-    example: ClassVar = {"registers": {"read_function": 4, "write_function": 16, "watchdog": 0x2020}, "address": 9}
+_OTHERS = replace(
+    DRIVER, example={"registers": {"read_function": 4, "write_function": 16, "watchdog": 0x2020}, "address": 9}
+)
 
 
-_SHORT = (_INVT, _Altivar)  # answers of at most 11 bytes: the kit damages longer ones
+_SHORT = (_INVT, _ALTIVAR)  # answers of at most 11 bytes: the kit damages longer ones
 
 
 @pytest.mark.parametrize(
     "case",
     kit_cases(
-        (_INVT, _MMax, _Altivar, _Others),
-        without=[*((kind, "damage") for kind in _SHORT), *((kind, "mutations") for kind in (_INVT, _MMax, _Altivar))],
+        (_INVT, _MMAX, _ALTIVAR, _OTHERS),
+        without=[*((kind, "damage") for kind in _SHORT), *((kind, "mutations") for kind in (_INVT, _MMAX, _ALTIVAR))],
     ),
 )
 def test_every_table_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
@@ -54,7 +53,7 @@ def test_every_table_passes_the_tests_of_drivers(case: rig_testing.ContractCase)
 class Bench(DriverBench):
     """The converter on its line, with names for what the tests need."""
 
-    def __init__(self, driver: ModbusConverterDriver = DRIVER) -> None:
+    def __init__(self, driver: Driver = DRIVER) -> None:
         super().__init__(driver)
         assert isinstance(self.far, SimulatedConverter)
         self.converter: SimulatedConverter = self.far
@@ -90,7 +89,7 @@ class Bench(DriverBench):
 
 
 @contextmanager
-def opened(driver: ModbusConverterDriver = DRIVER) -> Iterator[Bench]:
+def opened(driver: Driver = DRIVER) -> Iterator[Bench]:
     made = Bench(driver)
     with made.running():
         made.begin()
@@ -126,10 +125,9 @@ def test_both_directions_and_the_highest_speed(bench: Bench) -> None:
 
 
 def test_a_converter_without_a_reverse_command_is_not_turned_backwards() -> None:
-    class OneWay(ModbusConverterDriver):
-        example: ClassVar = {"registers": {"run_reverse": None}}
+    one_way = replace(DRIVER, example={"registers": {"run_reverse": None}})
 
-    with opened(OneWay()) as bench:
+    with opened(one_way) as bench:
         bench.drive.enable()
         with pytest.raises(DeviceError, match="does not turn backwards"):
             bench.drive.set_speed(-100)
@@ -138,7 +136,7 @@ def test_a_converter_without_a_reverse_command_is_not_turned_backwards() -> None
 def test_the_slip_of_the_motor_is_a_setting() -> None:
     """The converter reports the field: without the setting its speed is above the rotor's by the slip."""
     errors: list[float] = []
-    for driver in (DRIVER, _INVT()):
+    for driver in (DRIVER, _INVT):
         with opened(driver) as bench:
             bench.turn(1000)
             bench.time.pass_time(2.0)
@@ -181,7 +179,7 @@ def test_a_quick_stop_replaces_commands_that_wait(bench: Bench) -> None:
 
 
 def test_without_a_command_of_its_own_a_quick_stop_is_a_steep_ramp() -> None:
-    with opened(_INVT()) as bench:
+    with opened(_INVT) as bench:
         bench.turn(400)
         bench.drive.quick_stop()
         bench.time.pass_time(0.8)
@@ -495,7 +493,7 @@ def test_a_converter_that_does_not_obey_a_stop_is_named(bench: Bench) -> None:
 
 
 def test_a_timeout_that_cannot_be_ended_stays_and_its_fault_is_reset() -> None:
-    with opened(_Altivar()) as bench:
+    with opened(_ALTIVAR) as bench:
         bench.turn()
         assert bench.drive.stop() is True
         assert bench.converter.watchdog_ms == 1000
@@ -570,8 +568,7 @@ def test_a_converter_that_shows_no_fault_at_rest_is_not_judged(bench: Bench) -> 
 
 
 def test_without_a_code_of_its_fault_the_time_out_is_not_measured() -> None:
-    class NoCode(ModbusConverterDriver):
-        example: ClassVar = {"registers": {"watchdog_fault": None}}
+    no_code = replace(DRIVER, example={"registers": {"watchdog_fault": None}})
 
-    with opened(NoCode()) as bench, pytest.raises(DeviceError, match="no code of its fault"):
+    with opened(no_code) as bench, pytest.raises(DeviceError, match="no code of its fault"):
         bench.drive.measure_time_out()
