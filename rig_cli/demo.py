@@ -5,15 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from json import loads
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from daq.acquisition.session import Session
-from daq.drivers.devices import devices_of
 from daq.guided_test_kinds import point_of
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures, TestDone
@@ -25,7 +24,6 @@ from rig_cli.console import StepProgress, notify, print_json
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_test import ending_words, run_test
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
-from rig_cli.numbers import TimeScale
 from rig_cli.option_groups import OUTPUT, SIMULATION
 from rig_cli.options import Json, RigFile, Settings
 from rig_cli.simulated import VirtualRigProcess
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from live.session_page import LivePage
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
-_UNPOLLED_SCALE = 8.0  # rig s per wall s if no device is polled
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
@@ -60,31 +57,21 @@ class Simulation:
 
     Attributes:
         seed: of its noise, clocks and calibration errors; None: the rig file's.
-        time_scale: seconds of rig time per wall second; None: see `_timed`.
         fault: "KEY=VALUE@STEP" texts.
-        link: wires of the virtual rig: pty, tcp or auto.
-        lockstep: whether it runs on simulated time.
+        real_time: whether it runs in a process of its own behind ports; otherwise on simulated time, in this thread.
+        link: wires of these ports: pty, tcp or auto.
     """
 
     seed: int | None = None
-    time_scale: Annotated[
-        TimeScale | None,
-        Parameter(
-            help="seconds of rig time per wall second, 0.01 to 100; without it 8, or --lockstep if devices are polled",
-            show_default=False,
-        ),
-    ] = None
     fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None
-    link: str = "auto"
-    lockstep: Annotated[
+    real_time: Annotated[
         bool,
-        Parameter(negative="", help="simulated time: repeatable bit for bit by its seed, as fast as it computes"),
+        Parameter(
+            negative="",
+            help="over ports, as long as on a real rig; without it as fast as the machine, the same bytes each time",
+        ),
     ] = False
-
-    @property
-    def rate(self) -> float:
-        """Seconds of rig time per second of the session's clock."""
-        return 1.0 if self.lockstep or self.time_scale is None else self.time_scale
+    link: Annotated[Literal["auto", "pty", "tcp"], Parameter(help="wires of --real-time")] = "auto"
 
 
 _DEFAULT = Simulation()
@@ -111,8 +98,8 @@ def demo(
     seed = simulation.seed
     changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])
     loaded = load_rig(rig, settings=changes)
-    simulation = _timed(simulation, loaded)
-    rate = simulation.rate
+    if simulation.link != "auto" and not simulation.real_time:
+        raise RigFileError(f"--link {simulation.link}: expected --real-time too; simulated time has no wires")
     faults = [_parse_fault(text, loaded) for text in simulation.fault or []]
     folder = _fresh(out)
     steps = _steps(loaded)
@@ -121,8 +108,8 @@ def demo(
     try:
         with (
             progress,
-            page_of_session(displays.page, loaded, None, changes, rate, json, progress.notify) as page,
-            foxglove_of_session(displays.foxglove, loaded, rate, json, progress.notify) as connection,
+            page_of_session(displays.page, loaded, None, changes, 1.0, json, progress.notify) as page,
+            foxglove_of_session(displays.foxglove, loaded, 1.0, json, progress.notify) as connection,
         ):
             far = _far_end(rig, loaded, changes, simulation)
             setup = _Setup(rig, changes, loaded, faults, folder, far, page, connection)
@@ -135,36 +122,9 @@ def demo(
 
 
 def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) -> VirtualRigProcess | LockstepRig:
-    if simulation.lockstep:
-        return LockstepRig(rig)
-    scale = simulation.rate
-    return VirtualRigProcess(name, changes, scale, simulation.link, waits=scale > 1)
-
-
-def _timed(simulation: Simulation, rig: Rig) -> Simulation:
-    """Return the simulation with its time: that of the options, or the fastest that suits the devices of the rig.
-
-    Devices that answer only on request are sampled when the host's request arrives. If rig time runs faster, requests
-    become rarer in rig time, and the time they take to arrive longer. Such a rig therefore runs on simulated time; in
-    real time if wires were chosen.
-    """
-    if simulation.lockstep:
-        return simulation
-    polled = [name for name, device in devices_of(rig.devices).items() if device.driver.poller is not None]
-    if not polled:
-        return simulation if simulation.time_scale else replace(simulation, time_scale=_UNPOLLED_SCALE)
-    names = ", ".join(polled)
-    if simulation.time_scale is None and simulation.link == "auto":
-        notify(f"simulated time, since {names} must be polled (--time-scale 1: real time)")
-        return replace(simulation, lockstep=True)
-    if simulation.time_scale is None:
-        return replace(simulation, time_scale=1.0)
-    if simulation.time_scale > 1:
-        notify(
-            f"warning: {names} must be polled, and this host does not poll {simulation.time_scale:g} times as fast: "
-            "samples will be missing or late. Leave --time-scale out, or use 1"
-        )
-    return simulation
+    if simulation.real_time:
+        return VirtualRigProcess(name, changes, 1.0, simulation.link)
+    return LockstepRig(rig)
 
 
 def _steps(rig: Rig) -> list[str]:

@@ -26,7 +26,7 @@ from daq.acquisition.session import Session
 from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError
-from daq.lockstep.rig import STEP_S, LockstepRig
+from daq.lockstep.rig import LockstepRig
 from daq.log import Log, open_log
 from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
@@ -55,7 +55,7 @@ _OTHER_CLOCK_S = 1.0  # difference above which a clock is the pipeline's own cou
 _HOST_COUNTS_AFTER_S = 1.5  # from the start of the log; before, a host that counts samples finds no loss
 _TURNS_RPM = 20.0  # speed above which a rotor turns with certainty
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults after which a line without a checksum is not checked
-_TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that buffer for 16 ms
+_TURNS_S = ((0.002, 0.008), (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that buffer for 16 ms
 _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
 
 

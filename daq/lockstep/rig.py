@@ -18,11 +18,11 @@ from daq.log.file import LogFile
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
-STEP_S = (0.002, 0.008)
+STEP_S = (0.016, 0.032)
 """Range of the random time for which an adapter collects bytes before it passes them to the host, s.
 
-With a constant period the adapter and the device clocks would beat: the delay of the bytes would grow slowly, which
-looks like a wrong clock rate.
+Common USB adapters deliver every 16 ms; a busy host takes every second delivery. With a constant period the adapter and the device clocks would
+beat: the delay of the bytes would grow slowly, which looks like a wrong clock rate.
 """
 _LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device
 

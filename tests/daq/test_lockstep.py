@@ -27,15 +27,12 @@ from rig_configs import load_rig
 from rig_testing.fault_schedules import Schedule, ScheduledFault, draw, run
 from tests.effort import cases, thorough
 
-BUFFERED_S = (0.012, 0.020)
-"""Adapters that deliver every 16 ms, as most do: a third of the work of quick ones."""
 SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser", "ethernet_lasers", "analogue_lasers", "can_lasers")
 
 
 def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
     changes = ["virtual.seed=5", *settings]
     sim = LockstepRig(load_rig(name, settings=changes))
-    sim.turn_s = BUFFERED_S
     return sim, Session(load_rig(name, settings=[*changes, *sim.port_settings()]), sim.clock, edge=sim.edge)
 
 

@@ -23,8 +23,8 @@ COMMANDS = {
     "driver check vesc_can --thorough": 1,
     "reproduce 4.2 4.5 --jobs 2 -o book": 1,
     "map virtual --x speed_ratio=1:2:20 --scheduler local:2": 1,
-    "demo --lockstep --out campaign": 1,
-    "demo --lockstep --foxglove --foxglove-port 0 --out campaign": 2,
+    "demo --out campaign": 1,
+    "demo --foxglove --foxglove-port 0 --out campaign": 2,
 }
 """Commands with the number of processes that have begun when Ctrl-C is pressed."""
 

@@ -95,7 +95,7 @@ def test_no_text_breaks_a_command(
         "check virtual --time-scale 0",
         "virtual --time-scale -3",
         "virtual --time-scale 1000",
-        "demo --time-scale nan",
+        "demo --seed nan",
         "record virtual -o x.mcap --duration -5",
         "record virtual -o x.mcap --duration 0",
         "record virtual -o x.mcap --until-silent -1",

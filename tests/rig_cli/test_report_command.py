@@ -15,7 +15,7 @@ from tests.rig_cli.test_validate import known
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("campaign")
-    assert run(["demo", "--rig", "one_laser", "--lockstep", "--seed", "3", "--out", str(folder / "d"), "--json"]) == 0
+    assert run(["demo", "--rig", "one_laser", "--seed", "3", "--out", str(folder / "d"), "--json"]) == 0
     return folder / "d"
 
 
