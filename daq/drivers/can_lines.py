@@ -12,6 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from daq.drivers.played import PlayedDevice
 from daq.items import RX, TX, DeviceEvent
 from daq.transports.can_frames import AdapterMessage, CanFrame, Decoded, FrameDecoder, encode, opens_bus
 from rig_basics.texts import number_of
@@ -194,3 +195,51 @@ class BothWays:
     def rest(self) -> bytes:
         """See BytesFromDevice."""
         return b""
+
+
+class PlayedOnBus(PlayedDevice):
+    """Stand-in for devices of a log on a bus. It sends while the host has the bus open.
+
+    Args:
+        omitted: see BothWays.
+    """
+
+    def __init__(self, omitted: Container[int]) -> None:
+        self.bus: BothWays = BothWays(omitted)
+        super().__init__(self.bus)
+        self.adapter: Adapter = Adapter()
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self.adapter.open
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self.adapter.open = True
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice. Messages to the adapter do not count as commands."""
+        was_open = self.adapter.open
+        frames = self.adapter.receive(data)
+        self.commands += sum(map(self.is_command, frames))
+        self.bus.host_is_there |= any(map(self.is_host, frames))
+        first = self.first_frames() if self.adapter.open and not was_open else ()
+        answers = [answer for frame in frames for answer in self.answers(frame)]
+        return encode(*first, *answers) if self.adapter.open else b""
+
+    def is_command(self, frame: CanFrame) -> bool:
+        """Whether a frame counts as a command to the devices."""
+        return True
+
+    def is_host(self, frame: CanFrame) -> bool:
+        """Whether a frame shows that a host replaces the recorded one."""
+        return True
+
+    def first_frames(self) -> Iterable[CanFrame]:
+        """Return the frames to send when the bus is opened."""
+        return ()
+
+    def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
+        """Return the answers to a frame of the host."""
+        return ()

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from daq.channels import Channel
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.blocks import fields
-from daq.mcap.chunks import INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, ChunkTable
-from daq.mcap.open_chunk import MESSAGE_HEAD
+from daq.mcap.chunks import ChunkTable
+from daq.mcap.open_chunk import INDEX_ENTRY_BYTES, INDEX_HEAD, MESSAGE_HEAD
 from daq.mcap.records import DamageError
 from daq.mcap.scan import Messages, split_chunk
 from rig_basics.texts import number_of
@@ -90,7 +90,7 @@ def _index_places(table: ChunkTable, chunks: NDArray[np.intp], channel_ids: list
     if len(channel_ids) > 1 or not len(chunks):
         return [-1] * len(chunks)
     at = table.index_at[entries[np.searchsorted(entries, table.first_entry[chunks])]]
-    return np.where(at < 0, -1, at - table.start[chunks] - table.length[chunks] + MESSAGE_INDEX_BYTES).tolist()
+    return np.where(at < 0, -1, at - table.start[chunks] - table.length[chunks] + INDEX_HEAD.size).tolist()
 
 
 class _OtherLayoutError(Exception):

@@ -14,6 +14,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from daq.mcap.checksum import crc32
+from daq.mcap.open_chunk import INDEX_ENTRY_BYTES, INDEX_HEAD
 from daq.mcap.records import RECORD_HEAD, DamageError
 from rig_basics.texts import number_of
 
@@ -22,8 +23,6 @@ CHUNK_LIMIT_BYTES = 64 * 2**20
 HEAD_BYTES = 4096
 """Number of bytes of a chunk record that contain its head."""
 NEVER_NS, EVER_NS = -(2**63), 2**63 - 1
-MESSAGE_INDEX_BYTES, INDEX_ENTRY_BYTES = 15, 16
-"""Sizes of a message index without its entries, and of one entry."""
 _HEAD = struct.Struct("<QQQII")
 _per_thread = threading.local()
 
@@ -203,7 +202,7 @@ class ChunkTable:
         first, last = int(self.first_entry[chunk]), int(self.first_entry[chunk + 1])
         end = int(self.start[chunk] + self.length[chunk])
         if first < last and self.index_at[last - 1] >= 0:
-            end = int(self.index_at[last - 1]) + MESSAGE_INDEX_BYTES + INDEX_ENTRY_BYTES * int(self.count[last - 1])
+            end = int(self.index_at[last - 1]) + INDEX_HEAD.size + INDEX_ENTRY_BYTES * int(self.count[last - 1])
         return min(end, file_size)
 
     def entries(self, chunk: int) -> list[tuple[int, int]]:

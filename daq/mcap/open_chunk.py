@@ -18,8 +18,8 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """Opcode, length, channel id, sequence, log time and publish time in front of a message."""
 _HEAD, SEQUENCE, LOG_NS, PUBLISH_NS = "record heads", "sequence numbers", "log times", "publish times"
 """Columns of message records; fields of the messages are columns too, and have names of one word."""
-_INDEX_HEAD = struct.Struct("<BQHI")
-_ENTRY_BYTES = 16
+INDEX_HEAD, INDEX_ENTRY_BYTES = struct.Struct("<BQHI"), 16
+"""Opcode, length, channel id and size of the entries of a message index; size of one entry: log time and offset."""
 
 
 class MessageIndex:
@@ -74,10 +74,10 @@ class MessageIndex:
             log_ns = np.frombuffer(data, "<u8")[::2]
             if len(log_ns) > 1 and (log_ns[1:] < log_ns[:-1]).any():
                 data = np.frombuffer(data, "V16")[np.argsort(log_ns, kind="stable")].tobytes()
-            parts += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)), data]
-            starts[channel_id], at = at, at + _INDEX_HEAD.size + len(data)
+            parts += [INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(data), channel_id, len(data)), data]
+            starts[channel_id], at = at, at + INDEX_HEAD.size + len(data)
             first = min(first, int.from_bytes(data[:8], "little"))
-            last = max(last, int.from_bytes(data[-_ENTRY_BYTES:-8], "little"))
+            last = max(last, int.from_bytes(data[-INDEX_ENTRY_BYTES:-8], "little"))
             self.counts[channel_id] = self.counts.get(channel_id, 0) + len(log_ns)
         if not starts:
             return b"", {}, (0, 0)

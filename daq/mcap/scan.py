@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap.blocks import Runs, fields, times
-from daq.mcap.open_chunk import MESSAGE_HEAD
+from daq.mcap.open_chunk import INDEX_ENTRY_BYTES, INDEX_HEAD, MESSAGE_HEAD
 from daq.mcap.records import RECORD_HEAD, DamageError
 
 _EIGHT = struct.Struct("<Q")
@@ -41,16 +42,15 @@ def record_places(data: bytes | memoryview, kind: int = 0) -> tuple[NDArray[np.i
 
 def _alike(data: bytes | memoryview, position: int, size: int) -> int:
     """Return the number of successive records of `size` bytes whose first 11 bytes equal those at `position`."""
-    most, count, step = (len(data) - position) // size, 1, 64
+    most, count, step = (len(data) - position) // size, 1, 1024
+    first, second = (_EIGHT.unpack_from(data, position + part)[0] for part in (0, 3))
     while count < most:
         shape, start = min(step, most - count), position + count * size
-        wrong = np.zeros(shape, bool)
-        for part in (0, 3):
-            wrong |= (
-                np.ndarray(shape, "<u8", data, start + part, (size,)) != _EIGHT.unpack_from(data, position + part)[0]
-            )
-        if wrong.any():
-            return count + int(wrong.argmax())
+        wrong = np.ndarray(shape, "<u8", data, start, (size,)) != first
+        wrong |= np.ndarray(shape, "<u8", data, start + 3, (size,)) != second
+        at = int(wrong.argmax())
+        if wrong[at]:
+            return count + at
         count, step = count + shape, 4 * step
     return count
 
@@ -90,10 +90,22 @@ class Messages:
         """Sequence numbers (n,)."""
         return fields(self.data, self.offsets + 11, "<u4")
 
+    @cached_property
     def counts(self) -> dict[int, int]:
-        """Return the number of messages by channel id."""
+        """Number of messages by channel id."""
         numbers = np.bincount(self.channel_ids)
         return {channel_id: int(numbers[channel_id]) for channel_id in np.flatnonzero(numbers).tolist()}
+
+    def indexes(self) -> bytes:
+        """Return their message indexes: one for each channel, in the order of its id, entries in order of log time."""
+        entries = np.stack([self.log_ns, self.offsets.astype(np.uint64)], axis=1)
+        data, at = entries[np.lexsort((self.log_ns, self.channel_ids))].tobytes(), 0
+        parts: list[bytes] = []
+        for channel_id, count in self.counts.items():
+            end = at + INDEX_ENTRY_BYTES * count
+            parts += [INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + end - at, channel_id, end - at), data[at:end]]
+            at = end
+        return b"".join(parts)
 
     def span(self) -> tuple[int, int]:
         """Return first and last log time, ns; zeros without messages."""

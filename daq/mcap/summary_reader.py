@@ -6,6 +6,7 @@ be walked from the start (daq.mcap.reader).
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +18,10 @@ from numpy.typing import NDArray
 from daq.errors import LogError
 from daq.mcap.blocks import fields
 from daq.mcap.checksum import crc32
-from daq.mcap.chunks import EVER_NS, INDEX_ENTRY_BYTES, MESSAGE_INDEX_BYTES, NEVER_NS, ChunkTable
+from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
-from daq.mcap.open_chunk import MESSAGE_HEAD
+from daq.mcap.open_chunk import INDEX_ENTRY_BYTES, INDEX_HEAD, MESSAGE_HEAD
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, parse
-from daq.mcap.scan import record_places
 from daq.mcap.writer import MAGIC
 
 _FOOTER_BYTES = RECORD_HEAD.size + 20
@@ -95,9 +95,8 @@ def _parsed(data: bytes, data_end: int) -> FileSummary:
     Raises:
         DamageError: it is inconsistent, or does not index every message.
     """
-    offsets, sizes, end = record_places(data)
-    if end != len(data):
-        raise DamageError("a summary that ends inside a record")
+    offsets = _record_offsets(data)
+    sizes, offsets = np.diff(offsets), offsets[:-1]
     opcodes = fields(data, offsets, "u1")
     is_index = opcodes == Opcode.CHUNK_INDEX
     found = _Parts(Definitions(), [], [], [])
@@ -119,6 +118,23 @@ def _parsed(data: bytes, data_end: int) -> FileSummary:
     ):
         raise DamageError("a summary that does not index everything")
     return FileSummary(found.definitions, statistics, table, found.attachments, found.metadata, data_end)
+
+
+def _record_offsets(data: bytes) -> NDArray[np.int64]:
+    """Return the offsets of the n records of a summary, and its end, (n + 1,).
+
+    Raises:
+        DamageError: it ends inside a record.
+    """
+    offsets, at, end = array("q", [0]), 0, len(data)
+    while at <= end - RECORD_HEAD.size:
+        at += RECORD_HEAD.size + RECORD_HEAD.unpack_from(data, at)[1]
+        if at > end:
+            break
+        offsets.append(at)
+    if at != end:
+        raise DamageError("a summary that ends inside a record")
+    return np.array(offsets)
 
 
 @dataclass(frozen=True)
@@ -171,7 +187,7 @@ def _table(data: bytes, offsets: NDArray[np.int64], sizes: NDArray[np.int64], da
     channel, index_at = fields(data, entry_at, "<u2"), _numbers(data, entry_at + 2)
     following = np.append(index_at[1:], 0)
     following[first_entry[1:][entries > 0] - 1] = end[entries > 0]
-    content = following - index_at - MESSAGE_INDEX_BYTES
+    content = following - index_at - INDEX_HEAD.size
     _need((index_at >= (start + length)[chunk]) & (content >= 0) & (content % INDEX_ENTRY_BYTES == 0))
     count = content // INDEX_ENTRY_BYTES
     _need(np.bincount(chunk, count, len(at)) <= unpacked // MESSAGE_HEAD.size)

@@ -72,7 +72,7 @@ class TableBuilder:
         beyond = 0
         if max(times) > EVER_NS:
             beyond = int(np.count_nonzero((columns[0] > EVER_NS) | (columns[1] > EVER_NS)))
-        return TakenChunk(crc32(data), messages.counts(), times, beyond, messages)
+        return TakenChunk(crc32(data), messages.counts, times, beyond, messages)
 
     def add(self, start: int, head: ChunkHead, chunk: TakenChunk, trusted: bool = False) -> int | None:
         """Add a chunk that begins at byte `start`. A duplicate is not added; the position of the first is returned.

@@ -196,6 +196,11 @@ class Walk:
 
     def _message_indexes(self, position: int) -> int:
         """Process the message indexes of a chunk; those of a damaged chunk give its former contents."""
+        whole = self.last.indexes() if self.last and not self.indexed else b""
+        if whole and self.window.has(position, whole):  # the usual case
+            self.indexed = dict(self.last_counts)
+            self.unnamed.discard(self.last_start)
+            return position + len(whole)
         end, counts, span, fits = indexes_behind(self.window, position, self.last)
         if fits and self.last and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
             self.indexed |= counts

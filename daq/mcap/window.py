@@ -63,6 +63,13 @@ class Window:
                 )
         return self._data[start - self._base : end - self._base]
 
+    def has(self, position: int, data: bytes) -> bool:
+        """Return True if these bytes are at `position`."""
+        try:
+            return position + len(data) <= self.file.size and bytes(self.view(position, position + len(data))) == data
+        except DamageError:  # usual: a part can be read, which the caller does
+            return False
+
     def head(self, position: int) -> tuple[int, int]:
         """Return opcode and end of the record at `position`.
 

@@ -38,12 +38,13 @@ def settled_lateness(waiting: Sequence[Message[Any]], tolerance_ns: float, perio
         tolerance_ns: lateness of messages in time, ns.
         period_ns: time between two messages, ns.
     """
-    reads = [list(group)[-1] for _, group in groupby(waiting, key=lambda each: each.host_ns)]
-    begin_ns = reads[0].host_ns
-    passed_ns = reads[-1].host_ns - begin_ns
+    begin_ns = waiting[0].host_ns
+    passed_ns = waiting[-1].host_ns - begin_ns
     enough_ns = max(_PERSISTS_NS, _PERSISTS_MESSAGES * period_ns)
-    is_short = passed_ns < enough_ns or len(reads) < _PERSISTS_READS
-    if len(reads) < 2 or (is_short and passed_ns < 2 * enough_ns):
+    if passed_ns < enough_ns:
+        return None
+    reads = [list(group)[-1] for _, group in groupby(waiting, key=lambda each: each.host_ns)]
+    if len(reads) < 2 or (len(reads) < _PERSISTS_READS and passed_ns < 2 * enough_ns):
         return None
     early = min(each.late_ns for each in reads if each.host_ns - begin_ns <= passed_ns / 2)
     late = min(each.late_ns for each in reads if each.host_ns - begin_ns > passed_ns / 2)

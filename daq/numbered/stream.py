@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Generic, Literal
+from typing import Any, Generic, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,7 @@ class NumberedStream(Generic[R]):
         self._place = self._time = 0  # of the newest message with a place
         self._waiting: list[Message[R]] = []
         self._why: _Why = "late"
+        self._ends_read = True  # whether the newest message is the last one of its read
         self._stands_still = False  # whether the newest message had the number of that before it
 
     @property
@@ -135,15 +136,17 @@ class NumberedStream(Generic[R]):
         if not self._due.begun:
             self._begin(int(numbers[0]), int(times[0]))
         if not self._waiting:
-            steps, cycles_ns = self._steps(self._place, self._time, numbers, times)
-            places = self._place + np.cumsum(steps)
+            before = np.concatenate([[self._place], numbers[:-1]]), np.concatenate([[self._time], times[:-1]])
+            steps, cycles_ns = self._steps(*before, numbers, times)
+            places = self._place + np.cumsum(steps).astype(np.int64)
             late_ns = self._late_ns(int(places[-1]), host_ns)
             is_next = bool(np.all(np.abs(steps - self._count.step) < 0.5 * self._count.step))
-            if is_next and self._cycles(late_ns, float(cycles_ns.min()), host_ns) < 1:
+            if is_next and self._cycles(late_ns, float(np.min(cycles_ns)), host_ns) < 1:
                 self._time = int(times[-1])
                 return [self._placed(places, rows, host_ns)]
         out: list[Stretch[R]] = []
         for i, (number, time) in enumerate(zip(numbers.tolist(), times.tolist(), strict=True)):
+            self._ends_read = i == len(numbers) - 1
             at_ns = host_ns - round((len(numbers) - 1 - i) * self._count.period_ns * self._due.pace)
             out += self._take((number, time, at_ns, host_ns, rows[i : i + 1]))
         return self._merged(out)
@@ -156,26 +159,22 @@ class NumberedStream(Generic[R]):
 
     # --- steps ----------------------------------------------------------------------------------------------------
 
-    def _steps(
-        self, place: int, time: int, numbers: NDArray[np.int64], times: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _steps(self, place: Any, time: Any, number: Any, own_time: Any) -> tuple[Any, Any]:
         """Return the least steps from one message to the next, and the times after which they are the same again, ns.
 
         Args:
-            place, time: of the message before them.
-            numbers, times: shape (n,).
+            place, time: of the messages before them.
+            number, own_time: their own; all are arrays of shape (n,), or ints.
         """
         count = self._count
-        steps = (np.diff(numbers, prepend=place) - 1) % count.size + 1
-        cycles_ns = np.full(len(steps), count.size * self._number_ns)
-        if not count.clock_size:
-            return steps, cycles_ns
-        passed = np.diff(times, prepend=time) % count.clock_size / count.clock_step * count.step
-        cycles = np.maximum(0, np.rint((passed - steps) / count.size)).astype(np.int64)
-        unlike = np.abs(passed - steps - cycles * count.size)
-        agree = unlike < np.minimum(0.5 * count.step + RATE_ERROR * passed, 0.25 * count.size)
-        clock_ns = np.maximum(count.clock_size / count.clock_step * count.period_ns, cycles_ns)
-        return steps + np.where(agree, cycles * count.size, 0), np.where(agree, clock_ns, cycles_ns)
+        steps, cycle_ns = (number - place - 1) % count.size + 1, count.size * self._number_ns
+        passed = (own_time - time) % max(1, count.clock_size) / count.clock_step * count.step
+        cycles = ((passed - steps) / count.size + 0.5) // 1
+        unlike = abs(passed - steps - cycles * count.size)
+        is_like = (unlike < 0.5 * count.step + RATE_ERROR * passed) & (unlike < 0.25 * count.size)
+        agree = is_like & (cycles >= 0) & (count.clock_size > 0)
+        clock_ns = max(count.clock_size / count.clock_step * count.period_ns, cycle_ns)
+        return steps + agree * cycles * count.size, cycle_ns + agree * (clock_ns - cycle_ns)
 
     def _late_ns(self, place: int, at_ns: int) -> float:
         return self._due.late_ns(place * self._number_ns, at_ns)
@@ -191,8 +190,8 @@ class NumberedStream(Generic[R]):
     def _message(self, place: int, time: int, received: tuple[int, int, int, int, R]) -> Message[R]:
         """Return a message with its place after another one, whose place and time are given."""
         number, own_time, at_ns, host_ns, row = received
-        steps, cycles_ns = self._steps(place, time, np.array([number]), np.array([own_time]))
-        step, cycle_ns = int(steps[0]), float(cycles_ns[0])
+        steps, cycle_ns = self._steps(place, time, number, own_time)
+        step = int(steps)
         if step > self._count.size and self._late_ns(place + step, at_ns) < -self._due.early_ns(at_ns):
             step = (step - 1) % self._count.size + 1  # the clock's time is damaged
             cycle_ns = self._count.size * self._number_ns
@@ -317,7 +316,8 @@ class NumberedStream(Generic[R]):
             return self._restarted(self._waiting)
         if len(self._waiting) >= _MOST_WAITING:
             return self._settled()
-        lateness = settled_lateness(self._waiting, self._tolerance_ns, self._count.period_ns)
+        is_due = self._ends_read  # the lateness of all that wait is judged once a read
+        lateness = settled_lateness(self._waiting, self._tolerance_ns, self._count.period_ns) if is_due else None
         if lateness is None:
             return []
         if self._why == "sent earlier":

@@ -13,29 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.channels import HEALTH_TOPIC, TX, raw_topic
+from daq.channels import TX, raw_topic
 from daq.drivers.calibrated import CalibratedPipeline
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
-from daq.mcap.missing import Missing
 from daq.replay.stored import StoredRows
 from daq.replay.stream import decoded
 
 _ROWS = 4096  # stored samples per read
 _READ_NS = 20_000_000  # stored samples that arrived within this time are treated as one read
 _HEADS = ("time_ns", "log_time_ns", "sequence")
-
-
-@dataclass(frozen=True)
-class Hole:
-    """A period of host time in which messages of a log are missing.
-
-    Attributes:
-        start_ns, end_ns: first and last host time, ns since 1970.
-    """
-
-    start_ns: int
-    end_ns: int
 
 
 @dataclass(frozen=True)
@@ -53,17 +40,6 @@ class Arrival:
     device: str
     wrote: bool
     items: tuple[Batch | DeviceEvent, ...]
-
-
-def holes_of(missing: list[Missing]) -> tuple[Hole, ...]:
-    """Return the holes between two known times, sorted. The missing end of a cut log is not a hole."""
-    found = [
-        Hole(place.start_ns, place.end_ns)
-        for place in missing
-        if place.messages != 0 and place.topics != (HEALTH_TOPIC,)
-        if place.start_ns is not None and place.end_ns is not None
-    ]
-    return tuple(sorted(found, key=lambda hole: hole.start_ns))
 
 
 class Arrivals:

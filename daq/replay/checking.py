@@ -7,19 +7,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.channels import HEALTH_TOPIC
 from daq.drivers.devices import channels_of
 from daq.items import Batch
 from daq.log import Log, open_log
 from daq.log.snapshot import rig_of
-from daq.mcap.missing import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
+from daq.replay.holes import Holes
 from daq.replay.stream import decoded, decoder_of, pipelines_of
 from daq.version import DECODER
 from rig_basics.texts import number_of
 
 Progress = Callable[[float], None]
-_NEIGHBOURS_NS = 1_000_000_000  # samples are written at most this long after their bytes, unless the disk stalls
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def check_log(log: Log, progress: Progress | None = None) -> ReplayCheck:
     """Check an open log; see `check`."""
     pipelines = pipelines_of(log)
     log.verify()  # before the comparison: damage determines how far it goes
-    until_ns = first_hole_ns(log.missing)
+    until_ns = Holes.of(log.missing).first_ns
     cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
     channels = channels_of(rig_of(log).devices)
     comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in channels.items()}
@@ -88,24 +86,6 @@ def check_log(log: Log, progress: Progress | None = None) -> ReplayCheck:
     recorded_by = decoder_of(log)
     notes = (*_of_decoders(recorded_by), *_notes(log, set(pipelines), set(channels), until_ns, rows))
     return ReplayCheck(rows, until_ns, notes, recorded_by, DECODER)
-
-
-def first_hole_ns(missing: list[Missing]) -> int | None:
-    """Return the log time from which messages are missing although others follow; None if at most the end is missing.
-
-    A hole without a known position may be anywhere, so the result is 0. A hole that is known only by its neighbours may
-    contain samples of earlier bytes, because a recorder writes raw bytes first. It therefore begins earlier.
-    """
-    holes = [
-        (place.start_ns or 0) - (_NEIGHBOURS_NS if place.messages is None else 0)
-        for place in missing
-        if place.messages != 0 and place.topics != (HEALTH_TOPIC,) and not _is_the_end(place)
-    ]
-    return min(holes, default=None)
-
-
-def _is_the_end(place: Missing) -> bool:
-    return place.end_ns is None and place.start_ns is not None
 
 
 def share_of(log: Log, progress: Progress | None) -> Callable[[int], None]:

@@ -24,9 +24,10 @@ from daq.acquisition.trips import finding_of
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
-from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fields
+from daq.replay.arrivals import Arrival, Arrivals, with_all_fields
 from daq.replay.checking import Progress, share_of
 from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
+from daq.replay.holes import Holes
 from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
 from daq.replay.stream import pipelines_with
 from daq.transports.host_clock import HostClock
@@ -124,11 +125,8 @@ class _Run:
         patience = HostClock(clock_rate(self._facts)).patience
         self._patience = patience
         self._period_ns, self._together_ns = _ns(LOOK_S * clock_rate(self._facts)), _ns(patience(TOGETHER_S))
-        self._holes = list(holes_of(log.missing))
-        lost = [place for place in log.missing if place.messages != 0]
-        self._unplaced = [place for place in lost if place.start_ns is None]
-        self._cut_ns = min((p.start_ns for p in lost if p.start_ns is not None and p.end_ns is None), default=None)
-        self._whole_holes = tuple(self._holes)
+        self._holes = Holes.of(log.missing)
+        self._left = list(self._holes.between)  # those after the present time
         pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
         self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
         self._closing_ns = closing_ns(log, patience)
@@ -155,8 +153,8 @@ class _Run:
 
     def receive(self, arrival: Arrival) -> bool:
         """Process the next arrival; return True if a session would have ended before it."""
-        if self._holes and arrival.host_ns > self._holes[0].start_ns:
-            self._pass_hole(self._holes[0], arrival.host_ns)
+        if self._left and arrival.host_ns > self._left[0][0]:
+            self._pass_holes(arrival.host_ns)
         if self._tick_until(arrival.host_ns):
             return True
         self.now_ns = max(self.now_ns, arrival.host_ns)
@@ -182,14 +180,14 @@ class _Run:
     def notes(self) -> list[str]:
         """Return the limitations of the result, as sentences."""
         out = [
-            f"messages are missing from {self._after_s(hole.start_ns)} to {self._after_s(hole.end_ns)} s: nothing was "
+            f"messages are missing from {self._after_s(start_ns)} to {self._after_s(end_ns)} s: nothing was "
             "judged there, and the part after it was judged as a separate log"
-            for hole in self._whole_holes
+            for start_ns, end_ns in self._holes.between
         ]
-        out += [f"missing, at an unknown time: {place}" for place in self._unplaced]
-        if self._cut_ns is not None:
+        out += [f"missing, at an unknown time: {place}" for place in self._holes.unplaced]
+        if self._holes.cut_ns is not None:
             out.append(
-                f"the log is cut: everything after {self._after_s(self._cut_ns)} s is missing and was not judged"
+                f"the log is cut: everything after {self._after_s(self._holes.cut_ns)} s is missing and was not judged"
             )
         if self.arrivals.stored:
             out.append(f"judged by stored samples, without raw bytes to decode: {', '.join(self.arrivals.stored)}")
@@ -203,11 +201,12 @@ class _Run:
 
     # --- parts -------------------------------------------------------------------------------------------------
 
-    def _pass_hole(self, hole: Hole, now_ns: int) -> None:
-        self._tick_until(hole.start_ns)
-        while self._holes and now_ns > self._holes[0].start_ns:
-            hole = self._holes.pop(0)
-        self._begin(max(now_ns, hole.end_ns), whole=False)
+    def _pass_holes(self, now_ns: int) -> None:
+        self._tick_until(self._left[0][0])
+        end_ns = now_ns
+        while self._left and now_ns > self._left[0][0]:
+            end_ns = self._left.pop(0)[1]
+        self._begin(max(now_ns, end_ns), whole=False)
 
     def _tick_until(self, now_ns: int) -> bool:
         """Advance the log's time, with one evaluation per period; return True if the run would have ended."""

@@ -52,18 +52,15 @@ def is_stamped_elsewhere(log: Log) -> bool:
 def shared_clock(log: Log, run: Mapping[str, str]) -> ClockLine:
     """Return the line of channels that are on the common clock already, with the rate tolerance stated in the log.
 
-    A log without a tolerance, or with 0 that is not marked as stated (from an older import), gets the default
-    tolerance.
+    A log without a tolerance gets the default one.
     """
-    text = run.get("clock_tolerance_ppm", "0")
+    text = run.get("clock_tolerance_ppm", repr(ASSUMED_TOLERANCE_PPM))
     try:
         tolerance = float(text)
     except ValueError as fault:
         raise LogError(f"{log.path}: expected a number as clock_tolerance_ppm, got {text!r}") from fault
     if not (math.isfinite(tolerance) and tolerance >= 0):
         raise LogError(f"{log.path}: expected a number of at least 0 as clock_tolerance_ppm, got {text!r}")
-    if tolerance == 0 and run.get("clock_tolerance_from") != "stated":
-        tolerance = ASSUMED_TOLERANCE_PPM
     return ClockLine(0.0, 0.0, 1e-6 * tolerance, 0.0, 1e-6 * tolerance)
 
 

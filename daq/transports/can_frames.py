@@ -1,4 +1,4 @@
-"""Frames of a CAN bus as bytes: what a link to a bus reads and writes, and what a log keeps, whatever the adapter.
+"""Frames of a CAN bus as bytes: what a link to a bus reads and writes, and what a log keeps, for every adapter.
 
 Each frame is a record of 24 bytes, little-endian:
 
@@ -41,7 +41,7 @@ class AdapterMessage(IntEnum):
     """Messages between a host and its adapter; identifiers behind those of SocketCAN's error frames.
 
     OPEN, CLOSE: the host opens the bus, at the bit rate in the data, bit/s, or closes it. OPENED, OPEN_REFUSED: the
-    adapter's answers. REFUSED: number of frames that it did not send. DAMAGED: number of lines of text that were none.
+    adapter's answers. REFUSED: number of frames that it did not send. DAMAGED: number of damaged lines of its text.
     """
 
     OPEN = 0x1F00_0001

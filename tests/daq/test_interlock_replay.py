@@ -16,8 +16,9 @@ from daq.items import Batch, DeviceEvent
 from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
-from daq.replay.arrivals import Arrivals, Hole, holes_of
+from daq.replay.arrivals import Arrivals
 from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
+from daq.replay.holes import Holes
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
 from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
@@ -363,7 +364,7 @@ def test_holes_are_those_between_two_known_times() -> None:
         replace(known, end_ns=None),
         replace(known, topics=("health",)),
     ]
-    assert holes_of(places) == (Hole(5, 9), Hole(20, 30))
+    assert Holes.of(places).between == ((5, 9), (20, 30))
 
 
 def test_an_imported_log_is_judged_by_what_it_holds(tmp_path: Path) -> None:

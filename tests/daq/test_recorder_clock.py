@@ -123,12 +123,11 @@ def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) 
     ("facts", "ppm"),
     [
         ({}, 50.0),
-        ({"clock_tolerance_ppm": "0.0"}, 50.0),  # imported by a version without this option
-        ({"clock_tolerance_ppm": "0.0", "clock_tolerance_from": "stated"}, 0.0),
+        ({"clock_tolerance_ppm": "0.0"}, 0.0),
         ({"clock_tolerance_ppm": "7"}, 7.0),
     ],
 )
-def test_a_log_without_a_stated_clock_is_never_exact(tmp_path: Path, facts: dict[str, str], ppm: float) -> None:
+def test_a_log_without_a_stated_clock_is_not_exact(tmp_path: Path, facts: dict[str, str], ppm: float) -> None:
     y = batch(DISPLACEMENT_Y, 1e-3, displacement_m=np.array([1e-3, 2e-3, 3e-3]))
     attachments = {"rig.json": RIG.snapshot_json()}
     path = tmp_path / "a.mcap"

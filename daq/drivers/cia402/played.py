@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 
-from daq.drivers.can_lines import Adapter, BothWays
+from daq.drivers.can_lines import PlayedOnBus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import (
     NMT_RESET,
@@ -16,11 +17,10 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
-from daq.drivers.played import PlayedDevice
-from daq.transports.can_frames import CanFrame, decode, encode
+from daq.transports.can_frames import CanFrame, decode
 
 
-class PlayedDrive(PlayedDevice):
+class PlayedDrive(PlayedOnBus):
     """A drive behind its adapter. It accepts settings and follows network commands; its speed is that of the log.
 
     Args:
@@ -30,10 +30,9 @@ class PlayedDrive(PlayedDevice):
     expects = "the network's start"
 
     def __init__(self, config: MotorDrive) -> None:
-        self._bus = BothWays({cia301.cob_heartbeat(config.host_node_id)})
-        super().__init__(self._bus)
+        super().__init__({cia301.cob_heartbeat(config.host_node_id)})
         self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
-        self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
+        self._nmt = NmtState(config.node_id)
         self._profile = profile_of(config)
         self._reported = bytes(self._profile.size)
         objects = self._objects = drive_objects(config.node_id, self._profile)
@@ -47,19 +46,16 @@ class PlayedDrive(PlayedDevice):
     @property
     def sending(self) -> bool:
         """See PlayedDevice."""
-        return self._adapter.open and self._nmt.state == cia301.Heartbeat.OPERATIONAL
+        return super().sending and self._nmt.state == cia301.Heartbeat.OPERATIONAL
 
     def begin(self) -> None:
         """See PlayedDevice."""
-        self._adapter.open, self._nmt.state = True, cia301.Heartbeat.OPERATIONAL
+        super().begin()
+        self._nmt.state = cia301.Heartbeat.OPERATIONAL
 
-    def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. Commands to the adapter alone do not count as commands to the drive."""
-        frames = self._adapter.receive(data)
-        self.commands += len(frames)
-        self._bus.host_is_there |= any(frame.arbitration_id == self._host_beat for frame in frames)
-        sent = encode(*(answer for frame in frames if (answer := self._answer(frame)) is not None))
-        return sent if self._adapter.open else b""
+    def is_host(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus."""
+        return frame.arbitration_id == self._host_beat
 
     def _pass(self, data: bytes) -> bytes:
         for frame in decode(data).frames:
@@ -67,17 +63,17 @@ class PlayedDrive(PlayedDevice):
                 self._reported = frame.data[: self._profile.size]
         return super()._pass(data)
 
-    def _answer(self, frame: CanFrame) -> CanFrame | None:
+    def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
+        """See PlayedOnBus."""
         identifier, data = frame.arbitration_id, frame.data
         if self._nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            return CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
-        if identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
-            return CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
-        if identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
+            yield CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
+        elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
+            yield CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
+        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
             form = self._objects[self._profile.target, 0][1]
             self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
             self._turn(self._profile.unpack(data)[0])
-        return None
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (cia402.CONTROLWORD, 0):

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from daq.drivers.can_lines import Adapter, BothWays
+from daq.drivers.can_lines import PlayedOnBus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_RESET, NMT_RESET_COMMUNICATION, NmtState, SdoServer
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.node_objects import encoder_objects
 from daq.drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
-from daq.drivers.played import PlayedDevice
 from daq.errors import LogError
-from daq.transports.can_frames import CanFrame, encode
+from daq.transports.can_frames import CanFrame
 
 _OTHER_OBJECT = 0x2000_0000  # entry of a PDO's mapping for a manufacturer-specific object, without its bits
 
 
-class PlayedEncoders(PlayedDevice):
+class PlayedEncoders(PlayedOnBus):
     """Encoders that answer the opening and follow network commands; their positions come at the times of the log.
 
     The recorded SYNCs are played until a host sends its own ones. A position then counts as sampled at the newest SYNC
@@ -35,32 +34,31 @@ class PlayedEncoders(PlayedDevice):
     expects = "the network's start"
 
     def __init__(self, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
-        self._bus = BothWays({cia301.COB_SYNC})
-        super().__init__(self._bus)
-        self._adapter = Adapter()
+        super().__init__({cia301.COB_SYNC})
         self._nodes = [_PlayedNode(encoder, settings, identity) for encoder in settings.encoders]
 
     @property
     def sending(self) -> bool:
         """See PlayedDevice."""
-        return self._adapter.open and all(node.nmt.state == cia301.Heartbeat.OPERATIONAL for node in self._nodes)
+        return super().sending and all(node.nmt.state == cia301.Heartbeat.OPERATIONAL for node in self._nodes)
 
     def begin(self) -> None:
         """See PlayedDevice."""
-        self._adapter.open = True
+        super().begin()
         for node in self._nodes:
             node.nmt.state = cia301.Heartbeat.OPERATIONAL
 
-    def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. SYNC, and commands to the adapter alone, do not count as commands to the encoders."""
-        frames = self._adapter.receive(data)
-        sent = b""
-        for frame in frames:
-            is_sync = frame.arbitration_id == cia301.COB_SYNC
-            self.commands += not is_sync
-            self._bus.host_is_there |= is_sync
-            sent += encode(*(answer for node in self._nodes for answer in node.answers(frame)))
-        return sent if self._adapter.open else b""
+    def is_command(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus. SYNC does not count."""
+        return not self.is_host(frame)
+
+    def is_host(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus."""
+        return frame.arbitration_id == cia301.COB_SYNC
+
+    def answers(self, frame: CanFrame) -> list[CanFrame]:
+        """See PlayedOnBus."""
+        return [answer for node in self._nodes for answer in node.answers(frame)]
 
 
 class _PlayedNode:

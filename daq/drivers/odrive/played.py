@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from daq.drivers.can_lines import Adapter, BothWays
+from daq.drivers.can_lines import PlayedOnBus
 from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
-from daq.drivers.played import PlayedDevice
-from daq.transports.can_frames import CanFrame, FrameDecoder, encode
+from daq.transports.can_frames import CanFrame, decode
 
 _UNKNOWN = wire.Version((0, 0, 0), (0, 6, 0))
 
 
-class PlayedOdrive(PlayedDevice):
+class PlayedOdrive(PlayedOnBus):
     """An ODrive behind its adapter. It reports its version and serial number; its speed and state are those of the log.
 
     When the bus is opened it sends the newest heartbeat and estimates of the log, for which the opening waits.
@@ -27,50 +26,35 @@ class PlayedOdrive(PlayedDevice):
     expects = "the opening of the bus"
 
     def __init__(self, settings: Odrive, identity: Mapping[str, Any]) -> None:
-        self._bus = BothWays({wire.identifier(settings.node_id, command) for command in range(32)})
-        super().__init__(self._bus)
-        self._node, self._adapter = settings.node_id, Adapter()
+        super().__init__({wire.identifier(settings.node_id, command) for command in range(32)})
+        self._node = settings.node_id
         self._answers = _answers(settings, identity)
         self._reports = {
-            wire.HEARTBEAT: encode(self._frame(wire.HEARTBEAT, wire.pack_idle())),
-            wire.ESTIMATES: encode(self._frame(wire.ESTIMATES, bytes(8))),
+            wire.HEARTBEAT: self._frame(wire.HEARTBEAT, wire.pack_idle()),
+            wire.ESTIMATES: self._frame(wire.ESTIMATES, bytes(8)),
         }
-        self._lines = FrameDecoder()
 
-    @property
-    def sending(self) -> bool:
-        """See PlayedDevice."""
-        return self._adapter.open
+    def first_frames(self) -> Iterable[CanFrame]:
+        """See PlayedOnBus: the opening waits for them."""
+        return self._reports.values()
 
-    def begin(self) -> None:
-        """See PlayedDevice."""
-        self._adapter.open = True
-
-    def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. Commands to the adapter alone do not count as commands to the controller."""
-        was_open = self._adapter.open
-        frames, out = self._adapter.receive(data), b""
-        if self._adapter.open and not was_open:
-            out += b"".join(self._reports.values())  # the opening waits for them
-        self.commands += len(frames)
-        self._bus.host_is_there |= bool(frames)
-        for frame in frames:
-            node, command = wire.split(frame.arbitration_id)
-            if node != self._node:
-                continue
-            self.unfollowed += command == wire.AXIS_STATE and wire.parse_state(frame) == wire.CLOSED_LOOP
-            if frame.remote and command in self._answers:
-                out += encode(self._frame(command, self._answers[command]))
-        return out
+    def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
+        """See PlayedOnBus."""
+        node, command = wire.split(frame.arbitration_id)
+        if node != self._node:
+            return
+        self.unfollowed += command == wire.AXIS_STATE and wire.parse_state(frame) == wire.CLOSED_LOOP
+        if frame.remote and command in self._answers:
+            yield self._frame(command, self._answers[command])
 
     def _frame(self, command: int, data: bytes) -> CanFrame:
         return CanFrame(wire.identifier(self._node, command), data)
 
     def _pass(self, data: bytes) -> bytes:
-        for frame in self._lines.feed(data).frames:
+        for frame in decode(data).frames:
             node, command = wire.split(frame.arbitration_id)
             if node == self._node and command in self._reports and not frame.remote:
-                self._reports[command] = encode(frame)
+                self._reports[command] = frame
         return super()._pass(data)
 
 

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.displacement import compare_range
 from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.stream_stop import stop_stream
@@ -274,11 +275,7 @@ def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo
     Raises:
         DeviceError: the sensor has another range than the rig file, or its scaling is unknown.
     """
-    if abs(info["range_m"] - config.range_m) > 1e-6:
-        raise DeviceError(
-            f"{device}: the range is {config.range_m * 1e3:g} mm in the rig file and {info['range_m'] * 1e3:g} mm in "
-            f"the sensor (serial {info['serial']}). Correct devices.{device}.range_m or plug in the right sensor"
-        )
+    compare_range(device, config, info["range_m"], info["serial"])
     scaling = config.scaling or distance_words.scaling_of(info["name"])
     if scaling is None:
         each = [(key, ", ".join(scaling.models)) for key, scaling in distance_words.SCALINGS.items() if scaling.models]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, steps_from
+from daq.drivers.displacement import gap, range_of
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.set_up_watch import SetUpWatch
 from daq.drivers.optoncdt.settings import Laser
@@ -61,7 +61,7 @@ class LaserPipeline:
         self.has_reported: bool = True
         self._may_be_short = distance_words.model_of(str(identity.get("name", ""))) in distance_words.SHORT_TIMESTAMP
         self._device, self._channel = device, channel
-        self._range_m = _range(device, identity.get("range_m", config.range_m))
+        self._range_m = range_of(device, config, identity)
         usual = config.scaling or distance_words.USUAL_SCALING  # of a sensor that was not queried
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
@@ -301,23 +301,10 @@ class LaserPipeline:
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
-            span = lost * self._true.period_ticks * optoncdt.TICK_S
-            out.append(
-                DeviceEvent(
-                    "gap",
-                    self._device,
-                    f"{number_of(lost, 'sample')} lost ({span * 1e3:.2f} ms)",
-                    {"samples": lost, "span_s": span, "time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])},
-                )
-            )
+            period_s = self._true.period_ticks * optoncdt.TICK_S
+            facts = {"time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])}
+            out.append(gap(self._device, lost, period_s, **facts))
         return out
-
-
-def _range(device: str, found: object) -> float:
-    """Return the measuring range of an identity, m; raise DeviceError if it is invalid."""
-    if isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found) and found > 0:
-        return float(found)
-    raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {found!r:.80}")
 
 
 def _scaling(device: str, found: object) -> distance_words.Scaling:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.clock import steps_from
 from daq.drivers.optoncdt.wire import COUNTER_WRAP, TICK_S, TIMESTAMP_WRAP
 from daq.numbered.due_line import RATE_ERROR
 
@@ -141,8 +142,8 @@ class SampleTimes:
             rows: the sampling period.
         """
         place, time = self._last or (int(places[0]) - 1, int(ticks[0]) - round(rows.period_ticks))
-        expected = np.diff(places, prepend=place) * rows.period_ticks
-        off = (np.diff(ticks, prepend=time) - expected + TIMESTAMP_WRAP / 2) % TIMESTAMP_WRAP - TIMESTAMP_WRAP / 2
+        expected = steps_from(place, places) * rows.period_ticks
+        off = (steps_from(time, ticks) - expected + TIMESTAMP_WRAP / 2) % TIMESTAMP_WRAP - TIMESTAMP_WRAP / 2
         if abs(off[0]) > _PERIOD_ROWS * rows.period_ticks + rows.error * expected[0]:
             return None
         times = time + np.cumsum(np.rint(expected + off).astype(np.int64))

@@ -8,6 +8,7 @@ seen in the counter.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
+from daq.drivers.displacement import gap
 from daq.drivers.optoncdt_ethernet import distances, wire
 from daq.drivers.optoncdt_ethernet.frame_numbers import FrameNumbers
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
@@ -211,12 +213,9 @@ class EthernetPipeline:
     def _lost(self, lost: int, uncertain: int, why: str = "lost") -> DeviceEvent:
         """Count samples that are missing before the next one."""
         self.losses["samples"] += lost
-        span = lost * self._period_ns * 1e-9
-        facts: dict[str, Any] = {"samples": lost, "span_s": span}
-        if uncertain:
-            facts["uncertain_samples"] = uncertain
-        text = f"{'about ' if uncertain else ''}{number_of(lost, 'sample')} {why} ({span * 1e3:.2f} ms)"
-        return DeviceEvent("gap", self._device, text, facts)
+        facts = {"uncertain_samples": uncertain} if uncertain else {}
+        event = gap(self._device, lost, self._period_ns * 1e-9, **facts)
+        return replace(event, text=("about " if uncertain else "") + event.text.replace("lost", why))
 
     def _rated(self, host_ns: int) -> Items:
         """Take no samples while the sensor measures at another rate than before, since their times would be wrong.

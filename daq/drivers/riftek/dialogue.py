@@ -13,6 +13,7 @@ import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.displacement import compare_range
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.stream_stop import stop_stream
@@ -40,11 +41,7 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
     talk.restart_decoding()
     dialogue = _Dialogue(device, settings, talk)
     info = dialogue.identify()
-    if abs(info.range_m - settings.range_m) > 1e-6:
-        raise DeviceError(
-            f"{device}: the range is {settings.range_m * 1e3:g} mm in the rig file and {info.range_m * 1e3:g} mm in "
-            f"the sensor (serial {info.serial}). Correct devices.{device}.range_m or plug in the right sensor"
-        )
+    compare_range(device, settings, info.range_m, info.serial)
     dialogue.write(wire.POWER, 1, "laser on")
     control = dialogue.read(wire.CONTROL) & wire.CONTROL_KEPT
     dialogue.write(wire.CONTROL, control, "sampling by time, averaging by number")

@@ -22,7 +22,7 @@ difference.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,12 +30,12 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap
+from daq.drivers.displacement import gap, range_of
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.arrivals import Arrivals, ResultRate
 from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
-from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 
@@ -117,10 +117,10 @@ class RiftekPipeline:
     ) -> None:
         self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0, "suspect": 0}
         self._device, self._channel = device, channel
-        self._range_m = _range(device, identity.get("range_m", settings.range_m))
+        self._range_m = range_of(device, settings, identity)
         self._to_disk = 1.0 / settings.lever_ratio
         self._period_ns = 1000 * settings.period_us
-        self._no_target = np.array(settings.no_target_codes, np.int64)
+        self._no_target = settings.no_target_codes
         self._decoder = ResultDecoder()
         self._arrivals = Arrivals(self._period_ns)
         self._clock = ClockMap(settings.clock_tolerance_ppm)
@@ -274,11 +274,9 @@ class RiftekPipeline:
 
     def _measure(self, rows: _Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the displacement of the disk, m, NaN without a reading, and whether each result is a reading."""
-        valid = rows.updated & (rows.code <= wire.FULL_SCALE)
-        for code in self._no_target:
-            valid &= rows.code != code
-        displacement = (wire.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
-        displacement[~valid] = np.nan
+        displacement = (wire.readings(rows.code, self._range_m, self._no_target) - 0.5 * self._range_m) * self._to_disk
+        displacement[~rows.updated] = np.nan
+        valid = np.isfinite(displacement)
         self.losses["invalid"] += len(valid) - int(np.count_nonzero(valid))
         return displacement, valid
 
@@ -311,14 +309,9 @@ class RiftekPipeline:
         for i in np.flatnonzero(step != 1):
             lost = int(step[i]) - 1
             self.losses["samples"] += lost
-            span = lost * self._period_ns * 1e-9
-            facts: dict[str, Any] = {
-                "samples": lost,
-                "span_s": span,
-                "time_ns": int(time_ns[i]),
-                "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS,
-            }
-            text = f"{number_of(lost, 'sample')} lost ({span * 1e3:.2f} ms)"
+            facts = {"time_ns": int(time_ns[i]), "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS}
+            event = gap(self._device, lost, self._period_ns * 1e-9, **facts)
+            text, facts = event.text, dict(event.facts)
             if rows.guessed[i] or (found_late and i == 0):
                 facts["uncertain_samples"] = self._arrivals.uncertainty
                 text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._arrivals.uncertainty}"
@@ -326,12 +319,5 @@ class RiftekPipeline:
                 facts["found_late"] = found_late
                 text += f"; {found_late} of them within the last {self._arrivals.since_s:.2f} s: the times since "
                 text += "their loss are early by that"
-            out.append(DeviceEvent("gap", self._device, text, facts))
+            out.append(replace(event, text=text, facts=facts))
         return out
-
-
-def _range(device: str, found: object) -> float:
-    """Return the measuring range of an identity, m; raise DeviceError if it is invalid."""
-    if isinstance(found, int | float) and not isinstance(found, bool) and 0 < found < float("inf"):
-        return float(found)
-    raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {found!r:.80}")

@@ -21,6 +21,7 @@ are not used.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -150,6 +151,13 @@ def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:
         range_m: measuring range, m.
     """
     return np.asarray(code, np.float64) * (range_m / FULL_SCALE)
+
+
+def readings(code: ArrayLike, range_m: float, no_target_codes: Sequence[int]) -> NDArray[np.float64]:
+    """Convert results as `metres` does; NaN for those above full scale, and for the codes without a target."""
+    codes = np.asarray(code)
+    is_reading = (codes <= FULL_SCALE) & ~np.isin(codes, no_target_codes)
+    return np.where(is_reading, metres(codes, range_m), np.nan)
 
 
 def code(metres: ArrayLike, range_m: float) -> NDArray[np.int64]:

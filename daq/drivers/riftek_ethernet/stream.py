@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.riftek.wire import FULL_SCALE, metres
+from daq.drivers.displacement import gap
+from daq.drivers.riftek.wire import readings
 from daq.drivers.riftek_ethernet import wire
 from daq.drivers.riftek_ethernet.identity import words_for
 from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
@@ -126,11 +127,7 @@ class RiftekEthernetPipeline:
             lost = stretch.lost * wire.RESULTS
             self.losses["samples"] += lost
             self._next += lost
-            span_s = lost * self._period_ns * 1e-9
-            facts = {"samples": lost, "span_s": span_s}
-            out.append(
-                DeviceEvent("gap", self._device, f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)", facts)
-            )
+            out.append(gap(self._device, lost, self._period_ns * 1e-9))
         return [*out, *(self._samples(packet, stretch.host_ns) for packet in stretch.rows)]
 
     def _identified(self, serial: int) -> Items:
@@ -151,12 +148,10 @@ class RiftekEthernetPipeline:
         self._next += wire.RESULTS
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
         settings, counter = self._settings, number.astype(np.uint32)  # wraps
-        distance = metres(packet.codes, settings.range_m)
-        wrong = (packet.codes > FULL_SCALE) | np.isin(packet.codes, settings.no_target_codes)
+        distance = readings(packet.codes, settings.range_m, settings.no_target_codes)
         if settings.valid_status:
-            wrong |= ~np.isin(packet.status, settings.valid_status)
-        distance[wrong] = np.nan
-        self.losses["invalid"] += int(np.count_nonzero(wrong))
+            distance[~np.isin(packet.status, settings.valid_status)] = np.nan
+        self.losses["invalid"] += int(np.count_nonzero(np.isnan(distance)))
         columns: dict[str, NDArray[Any]] = {
             "code": packet.codes.astype(np.uint32),
             "displacement_m": (distance - 0.5 * settings.range_m) / settings.lever_ratio,

@@ -430,7 +430,7 @@ def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyP
 def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeypatch: pytest.MonkeyPatch) -> None:
     labjack = driver("labjack")
     assert labjack.announcement is not None
-    announcement = labjack.announcement
+    announcement = labjack.announcement()
 
     def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Driver:
         monkeypatch.setattr(identity, "ANNOUNCEMENT", replace(announcement, read=read, request_port=port))

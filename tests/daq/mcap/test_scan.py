@@ -78,7 +78,7 @@ def test_messages_of_a_chunk_have_their_fields() -> None:
     assert found.publish_ns.tolist() == [61, 90, 60]
     assert found.sequences.tolist() == [2**32 - 1, 0, 0]
     assert [found.payload(row) for row in range(3)] == [b"ab", b"", b"c"]
-    assert (found.counts(), found.span()) == ({7: 1, 0x1234: 2}, (40, BIG))
+    assert (found.counts, found.span()) == ({7: 1, 0x1234: 2}, (40, BIG))
     part = found.part(found.channel_ids == 7)
     assert (len(part), part.payload(0), part.span()) == (1, b"", (40, 40))
     assert split_chunk(b"")[0].span() == (0, 0)

@@ -12,6 +12,7 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from daq import channels as ch
+from daq.mcap.scan import split_chunk
 from daq.mcap.writer import RESTATE_EVERY, BlockWriter
 from tests.effort import cases
 
@@ -150,6 +151,48 @@ def test_message_indexes_are_sorted_and_point_at_their_messages():
         assert int.from_bytes(chunk.data[offset + 15 : offset + 23], "little") == time
     assert (chunk.message_start_time - T0, chunk.message_end_time - T0) == (5, 30)
     assert chunk.uncompressed_crc == zlib.crc32(chunk.data)
+
+
+@settings(max_examples=cases(20, 60))
+@given(st.lists(st.integers(0, 60), max_size=8), st.sampled_from([1, 200, 2000]), st.booleans())
+def test_samples_by_their_fields_are_the_file_of_ready_made_messages(sizes, chunk_bytes, is_repeated):
+    files = io.BytesIO(), io.BytesIO()
+    writers = [BlockWriter(stream, "none", chunk_bytes) for stream in files]
+    wanted: list[bytes] = []
+    for writer in writers:
+        writer.start()
+        cid = add_tacho(writer)
+        for number, size in enumerate(sizes):
+            ticks = 7 if is_repeated else np.arange(size) * 1000
+            columns = {"revolutions": np.arange(size), "node_time_us": ticks}
+            heads = T0 + number, T0 + np.arange(size), np.arange(size)
+            if writer is writers[0]:
+                messages = ch.TACHO.pack(columns)
+                wanted += [message.tobytes() for message in messages]
+                writer.add_block(cid, *heads, messages)
+            else:
+                writer.add_samples(cid, *heads, ch.TACHO.item, columns)
+        writer.finish()
+    assert files[0].getvalue() == files[1].getvalue()
+    assert [message.data for _, message in read_back(files[1].getvalue(), log_time_order=False)] == wanted
+
+
+def test_message_indexes_are_those_of_the_messages_read_back():
+    """A walk compares them as bytes and parses only others."""
+    stream = io.BytesIO()
+    writer = BlockWriter(stream, "none")
+    writer.start()
+    cid = add_tacho(writer)
+    other = writer.register_channel("other", "json", 0)
+    for number in range(3):
+        times = T0 + np.array([30, 10, 10]) - number
+        writer.add_block(cid, times, times, [3, 1, 2], tacho(3))
+        writer.add_message(other, T0 + 5, T0, 9, b"last")
+    writer.finish()
+    (chunk,) = (record for record in records_of(stream.getvalue()) if isinstance(record, Chunk))
+    indexes = split_chunk(chunk.data)[0].indexes()
+    assert len(indexes) == 2 * 15 + 12 * 16
+    assert chunk.data + indexes in stream.getvalue()
 
 
 def test_data_section_crc_and_summary_offsets():
