@@ -62,7 +62,7 @@ def ours(path: Path, reads: Reads) -> int:
         "drive": DrivePipeline("drive", d["drive"]),
     }
     rates, recent = RateWatches(d), Recent(90.0)
-    interlocks = Interlocks(rig.limits, rig.roles, lambda wall_s: wall_s, LeastMotion.of(rig), driving=True)
+    interlocks = Interlocks(rig.limits, rig.roles, LeastMotion.of(rig), driving=True)
     interlocks.begin(START_NS)
     interlocks.commanded(600.0)
     flush = tick = START_NS

@@ -2,8 +2,8 @@
 
     uv run python benchmarks/campaign_coverage.py --seeds 0:10 [--changed] [--busy LOOPS] [--out FILE.json]
 
-Each campaign is `rig demo --json` in a process of its own, on simulated time, through drivers, logs and all; with `--busy` next
-to processes that use every processor completely.
+Each campaign is `rig demo --json` in a process of its own, through drivers, logs and all; with `--busy` next to
+processes that use every processor completely.
 """
 
 from __future__ import annotations

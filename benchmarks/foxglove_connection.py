@@ -57,11 +57,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     with ExitStack() as stack:
         far = stack.enter_context(VirtualRigProcess(args.rig, [], 1.0))
         rig = load_rig(args.rig, settings=far.port_settings())
-        connection = (
-            None
-            if name == "no connection"
-            else stack.enter_context(FoxgloveConnection(rig, far.clock.rate, 0, (), print))
-        )
+        connection = None if name == "no connection" else stack.enter_context(FoxgloveConnection(rig, 0, (), print))
         session = stack.enter_context(Session(rig, far.clock))
         pid = 0
         if connection is not None:

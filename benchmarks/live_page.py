@@ -134,7 +134,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     with ExitStack() as stack:
         far = stack.enter_context(VirtualRigProcess(rig_name, [], 1.0))
         rig = load_rig(rig_name, settings=far.port_settings())
-        page = None if name == "no page" else stack.enter_context(LivePage(rig, None, "rig file", 1.0, rig.name))
+        page = None if name == "no page" else stack.enter_context(LivePage(rig, None, "rig file", rig.name))
         session = stack.enter_context(Session(rig, far.clock))
         pid = 0
         seen = [Seen() for _ in range(args.viewers)]
@@ -189,7 +189,7 @@ def _hour(rig_name: str, minutes: int = 60) -> None:
     """An hour of samples through the page's own side, as fast as it goes: what it keeps does not grow."""
     rig = load_rig(rig_name)
     ours, theirs = multiprocessing.Pipe()
-    watched = Watched(rig, theirs, 1.0, "an hour")
+    watched = Watched(rig, theirs, "an hour")
     pictures = Pictures(watched, LiveModel(rig), followers := Followers(watched.signals, LiveModel(rig)))
     channels = watched.signals.topics
     print(f"{minutes} min of samples: memory of the page's process after each tenth, MB:", end="", flush=True)

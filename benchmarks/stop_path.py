@@ -227,7 +227,7 @@ def _case(case: str, rig_name: str, presses: int, browser: bool) -> bool:
     with ExitStack() as stack:
         far = stack.enter_context(VirtualRigProcess(rig_name, [], 1.0))
         rig = load_rig(rig_name, settings=far.port_settings())
-        page = stack.enter_context(LivePage(rig, None, "rig file", 1.0, rig.name))
+        page = stack.enter_context(LivePage(rig, None, "rig file", rig.name))
         session = stack.enter_context(Session(rig, far.clock))
 
         def stop(reason: str) -> None:

@@ -13,16 +13,13 @@ from rig_configs import Rig, load_rig
 POLL_S = 0.05  # how often a recording looks for faults
 
 
-def open_rig(
-    rig: Rig | str | Path, *, clock_rate: float = 1.0, notify: Callable[[str], None] = lambda text: None
-) -> Session:
+def open_rig(rig: Rig | str | Path, *, notify: Callable[[str], None] = lambda text: None) -> Session:
     """Open every device of a rig and start its streams.
 
     Use the result in a `with` statement. At its end the rotor is stopped and every port is closed.
 
     Args:
         rig: a loaded rig, a rig file, or the name of a shipped rig.
-        clock_rate: rig time in one second of wall time, s; 1 on hardware.
         notify: called with each line that the operator has to read at once.
     Returns:
         The open session.
@@ -32,7 +29,7 @@ def open_rig(
         DeviceError: a device does not respond as configured.
     """
     loaded = rig if isinstance(rig, Rig) else load_rig(rig)
-    return Session(loaded, HostClock(clock_rate), notify=notify).open()
+    return Session(loaded, HostClock(), notify=notify).open()
 
 
 def record(session: Session, path: str | Path, seconds: float, metadata: Mapping[str, str] | None = None) -> Path:
@@ -45,7 +42,7 @@ def record(session: Session, path: str | Path, seconds: float, metadata: Mapping
     Args:
         session: from `open_rig`.
         path: the new log, NAME.mcap. An existing file is not overwritten.
-        seconds: duration, s of rig time.
+        seconds: duration, s.
         metadata: facts to keep in the log, for example {"test": "record", "note": "new spring"}.
     Returns:
         Path of the finished log.

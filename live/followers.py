@@ -22,7 +22,7 @@ from live.vectors import LiveVectors
 from rig_basics.arrays import Array
 from rig_configs.schema import Rig
 
-_INTERVAL_S = 0.1  # wall time between two updates
+_INTERVAL_S = 0.1  # time between two updates
 _MAX_TRACKED = 20_000
 _BATCH_S = 0.1  # encoder samples per call of the tracker
 _ROW_S = 0.2

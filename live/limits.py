@@ -65,20 +65,17 @@ class Distance:
         return self.value / self.limit if self.limit else math.nan
 
 
-def distances(
-    signals: Signals, at_s: float, heard_s: float, rate: float = 1.0, disk: Mapping[str, Any] | None = None
-) -> list[Distance]:
+def distances(signals: Signals, at_s: float, heard_s: float, disk: Mapping[str, Any] | None = None) -> list[Distance]:
     """Return the distance to every limit that can be calculated from the signals.
 
     Args:
         signals: signals of the rig.
         at_s: instant.
         heard_s: instant up to which samples can have arrived: host time of the newest update.
-        rate: seconds of the signals per second of wall time.
         disk: state of the recorder, if one records.
     """
     with signals.lock:
-        found = [*_motion(signals, at_s), *_speed(signals, at_s), *_channels(signals, at_s, heard_s, rate * HOST_S)]
+        found = [*_motion(signals, at_s), *_speed(signals, at_s), *_channels(signals, at_s, heard_s)]
     if disk is not None:
         found.append(Distance("disk", "log behind", float(disk["backlog_bytes"]) * 1e-6, _DISK_BYTES * 1e-6, "MB"))
     return found
@@ -125,29 +122,29 @@ def _disagreement(signals: Signals, at_s: float) -> tuple[float, float]:
     return abs(turned - nearest), nearest
 
 
-def _channels(signals: Signals, at_s: float, heard_s: float, host_s: float) -> Iterator[Distance]:
+def _channels(signals: Signals, at_s: float, heard_s: float) -> Iterator[Distance]:
     roles, rpm = signals.rig.roles, signals.rpm(at_s)
     turning = abs(rpm) > _TURNING_RPM
     for sensor in roles.displacements:
         age = heard_s - signals.topic_newest_s(sensor.topic, at_s)
-        limit = host_s + (DISPLACEMENT_S if turning else AT_REST_S)
+        limit = HOST_S + (DISPLACEMENT_S if turning else AT_REST_S)
         yield Distance("silent displacement", f"{sensor.axis}: no sample for", _known(age), limit, "s")
         _, values = signals.by_name[sensor.axis].between(at_s - BLIND_S, at_s)
         share = float(np.mean(np.isnan(values))) if len(values) else math.nan
         yield Distance("blind sensor", f"{sensor.axis}: invalid samples", 100 * share, 50.0, "%")
     if roles.angles is not None:
         age = heard_s - signals.topic_newest_s(roles.angles.topic, at_s)
-        limit = host_s + (ANGLES_S if turning else AT_REST_S)
+        limit = HOST_S + (ANGLES_S if turning else AT_REST_S)
         yield Distance("silent angles", "angles: no sample for", _known(age), limit, "s")
         share = signals.faulty_share(at_s - FAULTY_S, at_s)
         yield Distance("encoder fault", "angles: samples with a fault", 100 * share, 50.0, "%")
     if roles.speed is not None:
         age = heard_s - signals.topic_newest_s(roles.speed.topic, at_s)
-        limit = host_s + (SPEED_S if turning else AT_REST_S)
+        limit = HOST_S + (SPEED_S if turning else AT_REST_S)
         yield Distance("silent speed", "drive: no report for", _known(age), limit, "s")
     if roles.phase is not None:
         age = heard_s - signals.topic_newest_s(roles.phase.topic, at_s)
-        limit = TURNS_UNSEEN * 60 / max(abs(rpm), _TURNING_RPM) + host_s / HOST_S * RADIO_S
+        limit = TURNS_UNSEEN * 60 / max(abs(rpm), _TURNING_RPM) + RADIO_S
         yield Distance("no index mark", "no index mark for", _known(age) if turning else 0.0, limit, "s")
 
 

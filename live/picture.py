@@ -160,8 +160,8 @@ class Pictures:
         return states, "" if states else "no stable steady state at this speed"
 
     def _ages(self, now_s: float) -> dict[str, float | None]:
-        """Return the wall time since each channel's newest sample, s."""
-        heard_s, rate = self._source.heard_s(), self._source.rate
+        """Return the time since each channel's newest sample, s."""
+        heard_s = self._source.heard_s()
         roles = self._signals.rig.roles
         topics = {d.axis: d.topic for d in roles.displacements}
         for name, role in (("angles", roles.angles), ("speed", roles.speed), ("phase", roles.phase)):
@@ -169,8 +169,7 @@ class Pictures:
                 topics[name] = role.topic
         with self._signals.lock:
             return {
-                name: _number((heard_s - self._signals.topic_newest_s(topic, now_s)) / rate)
-                for name, topic in topics.items()
+                name: _number(heard_s - self._signals.topic_newest_s(topic, now_s)) for name, topic in topics.items()
             }
 
     def slow(self) -> bytes:
@@ -234,7 +233,7 @@ class Pictures:
     def state(self) -> Facts:
         """Return the state in words: limits, lamps, losses, test, events."""
         now_s, facts, events = self._source.now_s(), self._source.facts(), self._source.events()
-        found = distances(self._signals, now_s, self._source.heard_s(), self._source.rate, facts.get("disk"))
+        found = distances(self._signals, now_s, self._source.heard_s(), facts.get("disk"))
         lamps = self._lamps.look(now_s, found, events)
         plain = _plain(
             {

@@ -64,11 +64,6 @@ class Replayed:
         """See Source."""
         return self.transport.at()
 
-    @property
-    def rate(self) -> float:
-        """See Source; a log has deadlines in its own time."""
-        return 1.0
-
     def looked_at(self) -> None:
         """See Source."""
         self.transport.looked_at()

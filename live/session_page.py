@@ -82,7 +82,6 @@ class LivePage(FedProcess):
         rig: rig of the session, with identified parameters applied if they exist.
         identified: these parameters.
         source: origin of the model's numbers, for a reader.
-        rate: seconds of the rig per second of wall time.
         title: title of the page.
         host, port: as for live.port.bound.
 
@@ -95,7 +94,6 @@ class LivePage(FedProcess):
         rig: Rig,
         identified: IdentifiedParameters | None,
         source: str,
-        rate: float,
         title: str,
         host: str = "",
         port: int = 0,
@@ -103,7 +101,7 @@ class LivePage(FedProcess):
         self._token, self._place, self._url = new_token(), (host, port), ""
         self._accepted, given = WORKERS.Pipe()
         self._hosts: list[str] = []  # known to the page's process too, by reference, once the port is bound
-        page = (rig, identified, source, rate, title, self._token, self._hosts, given)
+        page = (rig, identified, source, title, self._token, self._hosts, given)
         super().__init__("live page", "the live page", run_page, page)
         self._given, self._entrance = given, ExitStack()
         self._stop_path: EntranceProcess | None = None

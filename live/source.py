@@ -27,11 +27,6 @@ class PageSource(Protocol):
         """Return the instant up to which samples can have arrived, s since the signals' origin."""
         ...
 
-    @property
-    def rate(self) -> float:
-        """Seconds of the signals per second of wall time."""
-        ...
-
     def looked_at(self) -> None:
         """Report that a viewer has displayed a picture."""
         ...

@@ -58,12 +58,11 @@ class Watched:
     Args:
         rig: rig of the session.
         pipe: pipe to the session's process.
-        rate: seconds of the rig per second of wall time.
         title: title of the page.
     """
 
-    def __init__(self, rig: Rig, pipe: Connection, rate: float, title: str) -> None:
-        self._rig, self._pipe, self._rate = rig, pipe, rate
+    def __init__(self, rig: Rig, pipe: Connection, title: str) -> None:
+        self._rig, self._pipe = rig, pipe
         self.signals: Signals = Signals(rig, 0)
         self._facts: Facts = {**_INITIAL, "title": title}
         self._events: deque[Mapping[str, Any]] = deque(maxlen=_MAX_EVENTS)
@@ -132,12 +131,7 @@ class Watched:
         if self._heard is None:
             return 0.0
         heard_s, since = self._heard
-        return heard_s + self._rate * (time.monotonic() - since)
-
-    @property
-    def rate(self) -> float:
-        """See Source."""
-        return self._rate
+        return heard_s + time.monotonic() - since
 
     def looked_at(self) -> None:
         """See Source; a rig does not wait for viewers."""
@@ -171,14 +165,13 @@ def run_page(
     rig: Rig,
     identified: IdentifiedParameters | None,
     source: str,
-    rate: float,
     title: str,
     token: str,
     hosts: Sequence[str],
     connections: Connection,
 ) -> None:
     """Run the page's process: serve the connections of a SocketSender until the other side closes the pipe."""
-    watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
+    watched = Watched(rig, pipe, title)
     model = LiveModel(rig, identified, source)
     if rig.roles.angles is not None:
         compile_followers(rig, model)  # before a rotor turns, because a compiler takes time from the recorder

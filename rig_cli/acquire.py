@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,7 +25,7 @@ from rig_cli.console import notify, print_json, show
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.last_sentence import check_sentence
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
-from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
+from rig_cli.numbers import LookSeconds, PositiveSeconds
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, RigFile, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
@@ -37,14 +36,13 @@ from rig_configs import load_rig
 def check(
     rig: RigFile,
     *,
-    seconds: Annotated[LookSeconds, Parameter(help="how long the devices are observed, rig time")] = 10.0,
+    seconds: Annotated[LookSeconds, Parameter(help="how long the devices are observed")] = 10.0,
     tap: Annotated[
         bool, Parameter(negative="", help="then tap the disk by hand along +x and +y: are the lasers in their places?")
     ] = False,
     zero: Annotated[
         bool, Parameter(negative="", help="first close both locks and zero the node's counters there")
     ] = False,
-    time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -64,7 +62,7 @@ def check(
     loaded = load_rig(rig, settings=settings or [])
     warnings = warn_of_unusual_settings(loaded)
     # a device that differs from the rig file is a failed check here, not an error
-    session = Session(loaded, HostClock(time_scale), policy=Policy(lenient=True))
+    session = Session(loaded, HostClock(), policy=Policy(lenient=True))
     with session:
         if zero:
             zero_counters(session)
@@ -80,9 +78,7 @@ def check(
         notify(f"warning: {session.rotor_warning}")
     factor = common_factor(look)
     if factor is not None:
-        warnings.append(
-            f"all clocks run {factor:.3g} times as fast as the host's: is --time-scale {time_scale:g} right?"
-        )
+        warnings.append(f"all clocks run {factor:.3g} times as fast as the host's: is the host's right?")
         notify(f"warning: {warnings[-1]}")
     good = all(map(passed, devices.values()))
     if json:
@@ -131,19 +127,19 @@ class RecordingOptions:
 
     Attributes:
         output: the log.
-        duration: rig time; None: until Ctrl-C.
+        duration: s; None: until Ctrl-C.
         listen: whether the session only receives.
-        until_silent: wall time without data after which the recording ends; None: never.
+        until_silent: time without data after which the recording ends; None: never.
         note: the operator's note.
     """
 
     output: Annotated[Path, Parameter(name=["--output", "-o"], group=OUTPUT)]
-    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None
+    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds; without it until Ctrl-C")] = None
     listen: Annotated[
         bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")
     ] = False
     until_silent: Annotated[
-        PositiveSeconds | None, Parameter(help="end when no device has sent data for so many wall seconds")
+        PositiveSeconds | None, Parameter(help="end when no device has sent data for so many seconds")
     ] = None
     note: str = ""
 
@@ -153,7 +149,6 @@ def record(
     *,
     recording: RecordingOptions,
     displays: Displays = TERMINAL_ONLY,
-    time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -166,12 +161,12 @@ def record(
     output, listen, note = recording.output, recording.listen, recording.note
     loaded, identities = load_rig_or_log(rig, settings or [])
     warn_of_unusual_settings(loaded)
-    clock = HostClock(time_scale)
+    clock = HostClock()
     facts = {"test": "record", "note": note}
     with (
         ReservedName(output) as name,  # before any device is disturbed: another recording may use them
-        page_of_session(displays.page, loaded, None, settings or [], clock.rate, json) as page,
-        foxglove_of_session(displays.foxglove, loaded, clock.rate, json) as connection,
+        page_of_session(displays.page, loaded, None, settings or [], json) as page,
+        foxglove_of_session(displays.foxglove, loaded, json) as connection,
     ):
         policy = LISTENING if listen else COMMANDING
         session = Session(loaded, clock, identities, notify, policy=policy)
@@ -200,7 +195,7 @@ def record(
         for text in unheard:
             notify(f"warning: {text}")
         if rates:
-            notify(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
+            notify(f"warning: {rates}. Is the rig file's rate_Hz right?")
         if slow_s:
             notify(f"warning: the disk was behind for {slow_s:.1f} s in all; no data were lost")
     return 3 if session.notices and not listen else 0  # without control of the rig its notices are no error here
@@ -226,7 +221,7 @@ def _record_until(
             heard = heard or session.devices.bytes_in > 0
             if until_silent_s is not None and heard and session.devices.silent_s > until_silent_s:
                 return "silence"
-            time.sleep(0.1)
+            session.clock.wait(0.1)
     except KeyboardInterrupt as stop:
         return str(stop) or "Ctrl-C"
     return "duration"

@@ -30,7 +30,7 @@ from rig_cli.calibrate_page import encoder_facts, sensor_facts, show_encoder, sh
 from rig_cli.calibrated_rig_file import name_of_record, old_values, write_record, write_settings
 from rig_cli.console import notify, print_json
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
-from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
+from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.option_groups import CLOSINGS, POSITIONS
 from rig_cli.options import Json, RigFile, Settings, check_outputs, warn_of_unusual_settings
 from rig_configs import RigFileError
@@ -50,7 +50,7 @@ class Positions:
         toward: whether a larger position brings the target nearer to the sensor.
         at_disk: whether they are displacements of the disk.
         zero_at: position that is displacement 0.
-        seconds: duration of a reading, rig s.
+        seconds: duration of a reading, s.
     """
 
     block: Annotated[
@@ -102,7 +102,6 @@ class Calibrating:
         out: folder of the log.
         write: whether the result is written without a question.
         rehearse: whether the virtual rig and a simulated operator are used.
-        time_scale: seconds of rig time per wall second.
     """
 
     out: Annotated[Path, Parameter(help="folder of the log and the figure")] = Path("out")
@@ -110,7 +109,6 @@ class Calibrating:
     rehearse: Annotated[
         bool, Parameter(negative="", help="on the virtual rig, in this process, with a simulated operator")
     ] = False
-    time_scale: TimeScale = 1.0
 
 
 _POSITIONS, _CLOSINGS, _CALIBRATING = Positions(), Closings(), Calibrating()
@@ -210,7 +208,7 @@ def _opened(rig: Rig, sensor: str, options: Calibrating) -> Generator[tuple[Sess
         with Session(_alone(_plugged(rig, far), sensor), far.clock, notify=notify, edge=far.edge) as session:
             yield session, SimulatedOperator(far)
         return
-    session = Session(_alone(rig, sensor), HostClock(options.time_scale), notify=notify)
+    session = Session(_alone(rig, sensor), HostClock(), notify=notify)
     with Keyboard(Keys(Controls())) as keyboard, session:
         yield session, TerminalOperator(keyboard)
 

@@ -108,8 +108,8 @@ def demo(
     try:
         with (
             progress,
-            page_of_session(displays.page, loaded, None, changes, 1.0, json, progress.notify) as page,
-            foxglove_of_session(displays.foxglove, loaded, 1.0, json, progress.notify) as connection,
+            page_of_session(displays.page, loaded, None, changes, json, progress.notify) as page,
+            foxglove_of_session(displays.foxglove, loaded, json, progress.notify) as connection,
         ):
             far = _far_end(rig, loaded, changes, simulation)
             setup = _Setup(rig, changes, loaded, faults, folder, far, page, connection)
@@ -123,7 +123,7 @@ def demo(
 
 def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) -> VirtualRigProcess | LockstepRig:
     if simulation.real_time:
-        return VirtualRigProcess(name, changes, 1.0, simulation.link)
+        return VirtualRigProcess(name, changes, simulation.link)
     return LockstepRig(rig)
 
 

@@ -61,26 +61,25 @@ NOT_OFFERED = Foxglove()
 
 
 def foxglove_of_session(
-    options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None] = notify
+    options: Foxglove, rig: Rig, as_json: bool, notify: Callable[[str], None] = notify
 ) -> AbstractContextManager[FoxgloveConnection | None]:
     """Return a context that offers a session opened inside it to Foxglove; None without the option.
 
     Args:
         rig: the session's.
-        rate: seconds of rig time per wall second.
     """
     if not options.wanted:
         return nullcontext()
-    return _open_connection(options, rig, rate, as_json, notify)
+    return _open_connection(options, rig, as_json, notify)
 
 
 @contextmanager
 def _open_connection(
-    options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None]
+    options: Foxglove, rig: Rig, as_json: bool, notify: Callable[[str], None]
 ) -> Generator[FoxgloveConnection]:
     from live.foxglove.session_connection import FoxgloveConnection  # only if requested
 
-    connection = FoxgloveConnection(rig, rate, options.port, _checked(options.origins), _refusal_reporter(notify))
+    connection = FoxgloveConnection(rig, options.port, _checked(options.origins), _refusal_reporter(notify))
     try:
         with connection:
             _announce(connection.url, as_json, notify)

@@ -44,7 +44,7 @@ def print_plan(plan: GuidedTestPlan) -> None:
 
 
 def _cells(state: PlannedState) -> tuple[str, ...]:
-    limit = f"{state.limit_s:.0f} s{' (wall)' if state.limit_is_wall else ''}" if state.waits_for else ""
+    limit = f"{state.limit_s:.0f} s" if state.waits_for else ""
     usual = f"{state.usual_s:.1f} s" if state.usual_s else ""
     pause = "no" if state.no_pause else "yes"
     rpm = f"{state.rpm:.0f}" if state.rpm else ""

@@ -26,7 +26,7 @@ from rig_cli.guided_test_page import TestPage
 from rig_cli.guided_test_result import result_sentence
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
-from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
+from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone
 from rig_cli.option_groups import TEST_NUMBERS
 from rig_cli.options import (
     Json,
@@ -100,7 +100,6 @@ class TestRun:
         note: the operator's note.
         parameters: parameters.toml over the rig file
         track: whether c3 and c4 are tracked.
-        time_scale: seconds of rig time per wall second.
     """
 
     __test__ = False  # not a pytest class
@@ -110,7 +109,6 @@ class TestRun:
     parameters: ParametersPath = None
     note: str = ""
     track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False
-    time_scale: TimeScale = 1.0
 
 
 _DEFAULT_NUMBERS, _DEFAULT_RUN = TestNumbers(), TestRun()
@@ -154,8 +152,8 @@ def test(
     label = label + what_if_words(settings, "; ") if label else ""
     contexts = _Displays(
         _tracking(wanted, parameters, settings) if options.track else None,
-        page_of_session(displays.page, loaded, parameters, settings or [], options.time_scale, json),
-        foxglove_of_session(displays.foxglove, loaded, options.time_scale, json),
+        page_of_session(displays.page, loaded, parameters, settings or [], json),
+        foxglove_of_session(displays.foxglove, loaded, json),
     )
     return _run(wanted, options, label, contexts, json)
 
@@ -233,7 +231,7 @@ def _run(wanted: GuidedTestRequest, options: TestRun, label: str, displays: _Dis
     done: TestDone | None = None
     with stop_stated() as opened, ExitStack() as stack:
         live_page, connection = stack.enter_context(displays.page), stack.enter_context(displays.foxglove)
-        session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), notify=notify))
+        session = stack.enter_context(Session(wanted.rig, HostClock(), notify=notify))
         opened.append(session)
         following = stack.enter_context(displays.tracking(session)) if displays.tracking is not None else None
         keyboard = stack.enter_context(Keyboard(keys))

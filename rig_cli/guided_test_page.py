@@ -23,8 +23,8 @@ from daq.log.losses import Losses
 from rig_cli.console import LiveTable, harmless, notify
 from rig_cli.keyboard import KEYS, Keys
 
-_LINE_EVERY_S, _STATE_EVERY_S = 5.0, 1.0  # wall s between two lines; shorter states get no line
-_SPAN_S = 1.0  # rig time of the extremes
+_LINE_EVERY_S, _STATE_EVERY_S = 5.0, 1.0  # s between two lines; shorter states get no line
+_SPAN_S = 1.0  # of the extremes, s
 _NEAR = 0.8  # share of a limit above which it is shown in red
 
 

@@ -14,7 +14,7 @@ from rig_basics.ignoring import ignoring
 from rig_cli.console import notify
 
 KEYS = "p pause   r resume   a abort   n note   Ctrl-C stop"
-_POLL_S = 0.1  # wall s between two reads of the keyboard
+_POLL_S = 0.1  # s between two reads of the keyboard
 _log = logging.getLogger(__name__)
 
 

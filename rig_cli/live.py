@@ -16,7 +16,6 @@ from daq.errors import LogError
 from rig_cli import answer
 from rig_cli.console import notify
 from rig_cli.foxglove import NOT_OFFERED, Foxglove, follow_session, foxglove_of_log, foxglove_of_session
-from rig_cli.numbers import TimeScale
 from rig_cli.option_groups import DISPLAYS
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_filled, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
@@ -85,7 +84,6 @@ def live(
     speed: Annotated[float, Parameter(help="of a log: seconds of it per second")] = 1.0,
     parameters: ParametersPath = None,
     foxglove: Foxglove = NOT_OFFERED,
-    time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -99,7 +97,7 @@ def live(
     """
     if source.endswith((".mcap", ".mcap.part")):
         return _log(Path(source), place, speed, parameters, foxglove, settings or [], json)
-    return _rig(source, place, parameters, foxglove, time_scale, settings or [], json)
+    return _rig(source, place, parameters, foxglove, settings or [], json)
 
 
 def _log(
@@ -140,7 +138,6 @@ def _rig(
     place: PagePlace,
     parameters: Path | None,
     foxglove: Foxglove,
-    time_scale: float,
     settings: list[str],
     as_json: bool,
 ) -> int:
@@ -149,10 +146,10 @@ def _rig(
 
     rig = load_rig(name, settings=settings)
     warn_of_unusual_settings(rig)
-    clock = HostClock(time_scale)
+    clock = HostClock()
     with (
-        page_of_session(place, rig, parameters, settings, clock.rate, as_json) as page,
-        foxglove_of_session(foxglove, rig, clock.rate, as_json) as given,
+        page_of_session(place, rig, parameters, settings, as_json) as page,
+        foxglove_of_session(foxglove, rig, as_json) as given,
         Session(rig, clock, notify=notify) as session,
     ):
         follow(page, session, session.stop, {"words": "watched, not recorded"})
@@ -171,7 +168,6 @@ def page_of_session(
     rig: Rig,
     parameters: Path | None,
     settings: list[str],
-    rate: float,
     as_json: bool,
     notify: Callable[[str], None] = notify,
 ) -> AbstractContextManager[LivePage | None]:
@@ -181,7 +177,6 @@ def page_of_session(
         place: address of the page; None for no page.
         rig: the session's.
         parameters, settings: of the model's curves.
-        rate: seconds of rig time per wall second.
     """
     if place is None:
         return nullcontext()
@@ -194,7 +189,7 @@ def page_of_session(
             _announce(page.url, page.token, place.host, as_json, notify)
             return page
 
-    return Announced(laid, known, source, rate, rig.name, place.host, place.port)
+    return Announced(laid, known, source, rig.name, place.host, place.port)
 
 
 def follow(

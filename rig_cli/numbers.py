@@ -14,7 +14,6 @@ from cyclopts import Parameter
 
 LONGEST_S = 366 * 86_400.0  # a year; longer durations are taken for typing errors
 _LONGEST_LOOK_S = 3600.0
-SLOWEST, FASTEST = 0.01, 100.0  # seconds of rig time per wall second, the range of HostClock
 _LARGEST = 1e15
 
 
@@ -59,13 +58,6 @@ def _shown_default(value: Any) -> str | None:
 
 
 EVERY_OPTION = Parameter(validator=_finite, negative_iterable=(), show_default=_shown_default)
-TimeScale = Annotated[
-    float,
-    Parameter(
-        validator=between(SLOWEST, FASTEST, low_too=True),
-        help="seconds of rig time per wall second, 0.01 to 100; 1 on a real rig",
-    ),
-]
 PositiveSeconds = Annotated[float, Parameter(validator=between(0, LONGEST_S))]
 LookSeconds = Annotated[float, Parameter(validator=between(0, _LONGEST_LOOK_S))]
 SecondsOrNone = Annotated[float, Parameter(validator=between(0, LONGEST_S, low_too=True))]

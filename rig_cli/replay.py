@@ -314,9 +314,9 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
 def _announce(ports: dict[str, str], path: Path, speed: float) -> None:
     """Print the ports in the form of `rig virtual`."""
     scale = speed if math.isfinite(speed) else 1.0
-    print(json_text.dumps({"ports": ports, "log": str(path), "time_scale": scale}), flush=True)
+    print(json_text.dumps({"ports": ports, "log": str(path), "speed": scale}), flush=True)
     settings = " ".join(f"--set devices.{device}.port={port}" for device, port in ports.items())
-    notify(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap --time-scale {scale:g} {settings}")
+    notify(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap {settings}")
 
 
 def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None) -> str:

@@ -11,7 +11,6 @@ from typing import Any
 
 from daq.errors import DeviceError
 from daq.transports import HostClock
-from daq.transports.paced_clock import PacedClock
 from daq.virtual_rig.control import OperatorLine
 from rig_basics.ignoring import ignoring
 
@@ -24,9 +23,7 @@ class VirtualRigProcess:
     Args:
         rig: path or name of the rig file.
         settings: `--set` texts over it.
-        time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
-        waits: whether rig time stops while the rig or its host is late; then all programs that use it need `clock`.
 
     Attributes:
         clock: clock of the program that runs the rig.
@@ -35,27 +32,12 @@ class VirtualRigProcess:
 
     edge = None
 
-    def __init__(
-        self, rig: str, settings: list[str], time_scale: float, link: str = "auto", waits: bool = False
-    ) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "rig_cli.main",
-            "virtual",
-            rig,
-            "--time-scale",
-            str(time_scale),
-            "--link",
-            link,
-        ]
+    def __init__(self, rig: str, settings: list[str], link: str = "auto") -> None:
+        command = [sys.executable, "-m", "rig_cli.main", "virtual", rig, "--link", link]
         command += ["--while-stdin-open"]  # it ends with this process, also if this process is killed
         for setting in settings:
             command += ["--set", setting]
-        self.clock: HostClock = HostClock(time_scale)
-        if waits:
-            self.clock = PacedClock(time_scale)
-            command += ["--pace", str(self.clock.path)]
+        self.clock: HostClock = HostClock()
         # its own session: Ctrl-C reaches this process alone, and the wires stay until the rotor has been stopped
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
@@ -108,5 +90,3 @@ class VirtualRigProcess:
             _log.info("the virtual rig is killed: %s", error)
             self._process.kill()
             self._process.wait()
-        if isinstance(self.clock, PacedClock):
-            self.clock.close()

@@ -17,7 +17,7 @@ from dynamics import RotorParameters
 from identification.tracking.tracker import SensorNoise, Tracked, Tracker
 from rig_configs import IdentifiedParameters, overridden
 
-_POLL_S = 0.1  # wall seconds between two reads of the newest readings
+_POLL_S = 0.1  # seconds between two reads of the newest readings
 _NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
 
 

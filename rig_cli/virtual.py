@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +11,7 @@ from cyclopts import App, Parameter
 
 from rig_basics.texts import number_of
 from rig_cli.console import notify, print_json
-from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
+from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.option_groups import OUTPUT
 from rig_cli.options import Json, RigFile, Settings
 from rig_configs import RigFileError, load_rig
@@ -24,23 +23,6 @@ Control = Annotated[Path | None, Parameter(help="the file with the rig's control
 _SLOWLY_RPM_S = 20.0
 
 
-@Parameter(name="*")
-@dataclass(frozen=True)
-class ParentProcess:
-    """Options of a program that starts the rig as its child process.
-
-    Attributes:
-        while_stdin_open: whether the rig ends when standard input is closed.
-        pace: file of a paced clock; None: the host's clock.
-    """
-
-    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False
-    pace: Annotated[Path | None, Parameter(show=False)] = None
-
-
-_NO_PARENT = ParentProcess()
-
-
 @app.default
 def start(
     rig: RigFile = "virtual",
@@ -49,11 +31,10 @@ def start(
         Path | None,
         Parameter(name=["--output", "-o"], group=OUTPUT, help="write its rig file: these ports, without [virtual]"),
     ] = None,
-    time_scale: TimeScale = 1.0,
     link: Annotated[Literal["auto", "pty", "tcp"], Parameter(help="wires of its devices")] = "auto",
     control: Control = None,
     settings: Settings = None,
-    parent: ParentProcess = _NO_PARENT,
+    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
     json: Json = False,
 ) -> None:
     """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it.
@@ -66,9 +47,7 @@ def start(
     loaded = load_rig(rig, settings=settings or [])
     if output is not None:
         need_free(output)
-    virtual = VirtualRig(loaded, time_scale, link, parent.pace)
-
-    until_eof = parent.while_stdin_open
+    virtual = VirtualRig(loaded, link)
 
     def ready(note: Path | None) -> None:
         if output is not None:
@@ -78,25 +57,21 @@ def start(
                 "ports": virtual.ports(),
                 "control_port": virtual.control.port,
                 "token": virtual.token,
-                "time_scale": time_scale,
                 "control": str(note) if note else None,
                 "rig_file": str(output) if output else None,
             }
         )
-        if not until_eof and not json:
-            _report_usage(loaded.name, virtual.ports(), output, time_scale, note if control else None)
+        if not while_stdin_open and not json:
+            _report_usage(loaded.name, virtual.ports(), output, note if control else None)
 
-    serve(virtual, ready, control, leaves_note=control is not None or not until_eof, until_eof=until_eof)
+    serve(virtual, ready, control, leaves_note=control is not None or not while_stdin_open, until_eof=while_stdin_open)
 
 
-def _report_usage(
-    rig: str, ports: Mapping[str, str], output: Path | None, time_scale: float, note: Path | None
-) -> None:
+def _report_usage(rig: str, ports: Mapping[str, str], output: Path | None, note: Path | None) -> None:
     """Print examples of commands for other terminals."""
-    scale = "" if time_scale == 1 else f" --time-scale {time_scale:g}"
     set_ports = "".join(f" --set devices.{name}.port={port}" for name, port in ports.items())
     chosen = f" --control {note}" if note else ""
-    notify(f"for example: rig check {output if output else rig}{scale}{'' if output else set_ports}")
+    notify(f"for example: rig check {output if output else rig}{'' if output else set_ports}")
     notify(f"to operate it: rig virtual pluck x{chosen}, or flick, clamp, turn, fault, unplug, plug, state, stop")
 
 
@@ -221,7 +196,7 @@ def fault(
     device: str | None = None,
     *,
     value: Annotated[float | None, Parameter(help="how much; see --list")] = None,
-    seconds: Annotated[PositiveSeconds | None, Parameter(help="rig time after which it ends by itself")] = None,
+    seconds: Annotated[PositiveSeconds | None, Parameter(help="after which it ends by itself")] = None,
     end: Annotated[bool, Parameter(negative="", help="end it")] = False,
     list_: Annotated[bool, Parameter(name="--list", negative="", help="list the faults of each device")] = False,
     control: Control = None,

@@ -58,10 +58,10 @@ class RigTime(HostClock):
         return START_NS + round(self._time.now_s * 1e9)
 
     def every(
-        self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
+        self, seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
     ) -> Repeated:
         """See HostClock."""
-        self._repeated.append(super().every(wall_seconds, do, name, failed))
+        self._repeated.append(super().every(seconds, do, name, failed))
         return self._repeated[-1]
 
     def end(self) -> None:

@@ -55,7 +55,11 @@ _OTHER_CLOCK_S = 1.0  # difference above which a clock is the pipeline's own cou
 _HOST_COUNTS_AFTER_S = 1.5  # from the start of the log; before, a host that counts samples finds no loss
 _TURNS_RPM = 20.0  # speed above which a rotor turns with certainty
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults after which a line without a checksum is not checked
-_TURNS_S = ((0.002, 0.008), (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that buffer for 16 ms
+_TURNS_S = (
+    (0.002, 0.008),
+    (0.004, 0.016),
+    (0.012, 0.020),
+)  # quick adapters, others, those that buffer for 16 ms
 _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
 
 
@@ -260,7 +264,7 @@ def _restarted(schedule: Schedule) -> set[str]:
 
 
 def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) -> Array:
-    """Return when the samples of a channel were made, by the device's own ticks, rig s."""
+    """Return when the samples of a channel were made, by the device's own ticks, s."""
     samples = log[clock.topic]
     period_s = 2.0**32 * clock.tick_ns * 1e-9
     ticks = np.unwrap(samples[clock.field].astype(np.float64), period=2.0**32)

@@ -21,7 +21,7 @@ class CaseOutcome:
         name: of the test.
         passed: the verdict; true for a test that was not tried.
         why: reason of a failure or of a test not tried; of a passed one, what was measured. May be empty.
-        seconds: wall time.
+        seconds: time.
         tried: whether the test applies to the driver.
     """
 

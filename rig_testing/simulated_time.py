@@ -21,7 +21,7 @@ from typing import Any
 STEP_S = 0.01
 _LOOK_S = 1e-4  # simulated time of one reading of the clock, so that a loop around it ends
 _FOREVER_S = 120.0  # simulated time after which a wait without a timeout is an error
-_WALL_S = 2.0  # longest wall time to the next wait of a thread
+_WALL_S = 2.0  # longest time to the next wait of a thread
 
 _real_start, _real_join = threading.Thread.start, threading.Thread.join
 _real_wait = threading.Event.wait

@@ -1,13 +1,16 @@
-"""Shared fixtures: a virtual rig in its own process, and hypothesis settings fit for a shared two-core machine."""
+"""Shared fixtures: virtual rigs, and hypothesis settings fit for a shared two-core machine."""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Iterator
+from functools import partial
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from daq.acquisition.session import Session
+from daq.lockstep.rig import LockstepRig
 from dynamics.compiled_code import keep_compiled_code
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
@@ -37,26 +40,36 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-TIME_SCALE = 5.0
 LATE_BEATS = "devices.drive.heartbeat_timeout_ms=800"
 """The most that is allowed: a busy machine may keep this process waiting for half a second."""
 
 
 @pytest.fixture
-def virtual_rig() -> Iterator[VirtualRigProcess]:
-    """A virtual rig at five times the speed of life, on ptys where there are any; its time waits for this process."""
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
-        yield process
+def simulated() -> LockstepRig:
+    """A virtual rig on simulated time."""
+    return LockstepRig(load_rig("virtual", settings=["virtual.seed=3"]))
 
 
 @pytest.fixture
-def shared_clock(virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch) -> VirtualRigProcess:
-    """The virtual rig, whose time also waits for commands that are run in this process."""
-    monkeypatch.setattr("rig_cli.guided_test.HostClock", lambda rate: virtual_rig.clock)
-    return virtual_rig
+def cabled(simulated: LockstepRig) -> Rig:
+    """The rig file pointed at the cables of the simulated rig."""
+    return load_rig("virtual", settings=simulated.port_settings())
+
+
+@pytest.fixture
+def virtual_rig() -> Iterator[VirtualRigProcess]:
+    """A virtual rig in real time, on ptys where there are any."""
+    with VirtualRigProcess("virtual", ["virtual.seed=3"]) as process:
+        yield process
 
 
 @pytest.fixture
 def plugged(virtual_rig: VirtualRigProcess) -> Rig:
     """The rig file pointed at the virtual rig's ports."""
     return load_rig("virtual", settings=[*virtual_rig.port_settings(), LATE_BEATS])
+
+
+def join(patch: pytest.MonkeyPatch, module: str, rig: LockstepRig) -> None:
+    """Let the sessions that a module opens run on a simulated rig."""
+    patch.setattr(f"{module}.HostClock", lambda: rig.clock)
+    patch.setattr(f"{module}.Session", partial(Session, edge=rig.edge))

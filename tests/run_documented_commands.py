@@ -219,8 +219,7 @@ class PageRun:
 
     def played_to(self, command: str) -> str:
         """Play the log to ports, and return a command with these ports."""
-        speed = re.search(r"--time-scale (\S+)", command)
-        replay = f"rig replay run.mcap --to pty --speed {speed[1] if speed else 1}"
+        replay = "rig replay run.mcap --to pty --speed 1"
         shown = self.start(replay, lambda text: bool(re.search(r'^\{"ports".*\n', text, re.MULTILINE)))
         ports = json.loads(next(line for line in shown.splitlines() if line.startswith('{"ports"')))["ports"]
         return re.sub(

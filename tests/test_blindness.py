@@ -21,7 +21,7 @@ ABOVE = sorted(
     for path in (ROOT / package).rglob("*.py")
     if not any(part in path.parts for part in ("transports", "virtual_rig", "lockstep", "far_end.py"))
 )
-BELOW_ONLY = {"virtual", "true_physics", "SerialLink", "SocketLink", "CanLink", "PtyWire", "TcpWire", "time_scale"}
+BELOW_ONLY = {"virtual", "true_physics", "SerialLink", "SocketLink", "CanLink", "PtyWire", "TcpWire"}
 PORT_KINDS = ("pty", "/dev/pts", "socket://", "loop://", "virtual", "simulated rig")
 
 

@@ -1,7 +1,7 @@
 """The operator's how-tos, word by word: the commands of their rehearsals run as processes, on ports of the system.
 
-The indented commands of a guided test are the second person's: each is given when the test prompts for it. Rig and host
-run at eight times real time and share their clock: on a busy machine a constant speed would otherwise seem to change.
+The indented commands of a guided test are the second person's: each is given when the test prompts for it. All run in
+real time; without `RIG_TESTS_THOROUGH` the minutes of a run-up and of a point are left out.
 """
 
 from __future__ import annotations
@@ -15,21 +15,18 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from daq.transports.paced_clock import PacedClock
+from tests.effort import THOROUGH
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "docs/how-to/operator" / name for name in ("rehearse_without_hardware.md", "run_without_a_drive.md")]
-TIME_SCALE = 8
-OPENS_PORTS = ("check", "test", "record")
+MINUTES = ("run-up", "point")
 PATIENCE_S = 300
-RIG = ("rig_cli.main",)
 
 
 @dataclass
@@ -65,14 +62,14 @@ class Terminal:
         result: the first line of its standard output, if requested; all of it is shown after a wrong end.
     """
 
-    def __init__(self, folder: Path, words: list[str], program: Sequence[str] = RIG, answers: bool = False) -> None:
+    def __init__(self, folder: Path, words: list[str], answers: bool = False) -> None:
         self.words = words
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
         environment["PYTHONPATH"] = str(ROOT)
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
         self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", *program, *expanded],
+            [sys.executable, "-m", "rig_cli.main", *expanded],
             cwd=folder,
             env=environment,
             text=True,
@@ -118,19 +115,17 @@ class Terminal:
         self.written.close()
 
 
-def carried_out(folder: Path, line: Line, pace: Path) -> None:
+def carried_out(folder: Path, line: Line) -> None:
     """One command, with the second person at hand; it ends as the page states."""
-    words, program = line.words, RIG
-    if words[0] in OPENS_PORTS:
-        words, program = [*words, "--time-scale", str(TIME_SCALE)], ("tests.paced_command", str(pace))
-    if words[0] == "check":
-        words = [*words, "--seconds", "2"]  # wall time, of 10 s: as long as 16 s of the page's rig
+    words = line.words
+    if words[0] == "check" and not THOROUGH:
+        words = [*words, "--seconds", "4"]
     hands = iter(line.hands)
-    with Terminal(folder, words, program) as terminal:
+    with Terminal(folder, words) as terminal:
         for prompt in terminal.prompts():
             by_hand = next(hands, None)
             assert by_hand is not None, f"{' '.join(line.words)}: no hand for {prompt!r}"
-            carried_out(folder, Line(by_hand, 0), pace)
+            carried_out(folder, Line(by_hand, 0))
         code = terminal.end()
         assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{terminal.shown()}"
     assert list(hands) == [], f"{' '.join(line.words)}: not every manual action was prompted for"
@@ -148,12 +143,11 @@ def test_the_pages_have_their_rehearsals() -> None:
 def test_the_rehearsal_can_be_followed_word_by_word(number: int, tmp_path: Path) -> None:
     start, *lines = rehearsals()[number]
     tmp_path.chmod(0o700)
-    clock = PacedClock(TIME_SCALE)
-    words = [*start.words, "--time-scale", str(TIME_SCALE), "--pace", str(clock.path)]
-    with closing(clock), Terminal(tmp_path, words, answers=True) as rig:
+    with Terminal(tmp_path, start.words, answers=True) as rig:
         ready = json.loads(rig.result)
         for line in lines:
-            carried_out(tmp_path, line, clock.path)
+            if THOROUGH or not set(MINUTES) & set(line.words):
+                carried_out(tmp_path, line)
         assert rig.end() == 0
     assert not Path(ready["control"]).exists()
     assert (tmp_path / ready["rig_file"]).exists()

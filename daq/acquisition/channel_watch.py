@@ -7,7 +7,7 @@ all channels were silent, and all of them return together. The module has no clo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from daq.items import DeviceEvent
@@ -33,17 +33,16 @@ class ChannelWatch:
     """Deadlines of the channels.
 
     Args:
-        deadlines_s: device and maximum time without a sample, rig s, by topic. The time is infinite if only `miss`
+        deadlines_s: device and maximum time without a sample, s, by topic. The time is infinite if only `miss`
             reports silences.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
     """
 
-    def __init__(self, deadlines_s: Mapping[str, tuple[str, float]], patience: Callable[[float], float]) -> None:
+    def __init__(self, deadlines_s: Mapping[str, tuple[str, float]]) -> None:
         self._channels = {
             topic: _Channel(device, _ns(min(s, _MAX_DEADLINE_S))) for topic, (device, s) in deadlines_s.items()
         }
-        self._all_ns = _ns(patience(1.5))  # additional time if all channels are silent: the host may be suspended
-        self._again_ns = _ns(patience(0.05))  # least time between two ticks that must find the same channel late
+        self._all_ns = _ns(1.5)  # additional time if all channels are silent: the host may be suspended
+        self._again_ns = _ns(0.05)  # least time between two ticks that must find the same channel late
         self._begun_ns = 0
         self._newest_ns = 0
 

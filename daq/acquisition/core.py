@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,14 +32,14 @@ from daq.items import RX, Batch, DeviceEvent
 from rig_configs.schema import Rig
 
 KEEP_S = 90.0
-"""Age up to which samples are kept in memory, rig s."""
+"""Age up to which samples are kept in memory, s."""
 PAST_S = 30.0
-"""Age up to which bytes are kept in memory for a log with a pre-trigger, rig s."""
+"""Age up to which bytes are kept in memory for a log with a pre-trigger, s."""
 _MAX_PAST_BYTES = 8 * 2**20  # of one device
-_WATCH_PERIOD_S = 0.25  # of the check for silent devices, wall s
-_HEALTH_PERIOD_S = 1.0  # of health reports, rig s
+_WATCH_PERIOD_S = 0.25  # of the check for silent devices, s
+_HEALTH_PERIOD_S = 1.0  # of health reports, s
 _NOT_CLEAN = {"restart": ". Its clock is not continuous: this log is not analysed", "doubt": ""}  # of sensors at rest
-_MAX_REASON_DELAY_S = 0.3  # between the state of a drive that stopped and its report of the reason, wall s
+_MAX_REASON_DELAY_S = 0.3  # between the state of a drive that stopped and its report of the reason, s
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,6 @@ class Core:
 
     Args:
         rig: the rig file.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
         policy: what the session may do. Sessions that only receive stop nothing.
         life: stage of the session.
 
@@ -97,17 +96,16 @@ class Core:
         host: lateness of the host.
     """
 
-    def __init__(self, rig: Rig, patience: Callable[[float], float], policy: Policy, life: Life) -> None:
+    def __init__(self, rig: Rig, policy: Policy, life: Life) -> None:
         self.rig: Rig = rig
-        self._patience = patience
         self.policy: Policy = policy
         self.life: Life = life
         self._known = devices_of(rig.devices)
         self.recent: Recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
-        self.rates: RateWatches = RateWatches(rig.devices, patience)
+        self.rates: RateWatches = RateWatches(rig.devices)
         least = LeastMotion.of(rig)
-        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, least, driving=policy.commands)
-        self.host: HostLoad = HostLoad(LOOK_S, patience)
+        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, least, driving=policy.commands)
+        self.host: HostLoad = HostLoad(LOOK_S)
         self.pipelines: dict[str, Pipeline] = {}
         self._calibrations = {name: Calibration.of(device.settings) for name, device in self._known.items()}
         self.trouble: Exception | None = None
@@ -128,7 +126,7 @@ class Core:
         self.trips: Trips = self._no_trips()
 
     def _no_trips(self) -> Trips:
-        return Trips(channels_of(self.rig.devices).values(), self.rig.roles, self._patience)
+        return Trips(channels_of(self.rig.devices).values(), self.rig.roles)
 
     # --- a log begins --------------------------------------------------------------------------------------------
 
@@ -348,7 +346,7 @@ class Core:
     def tick(
         self, now_ns: int, drive: DriveState | None, disk: DiskState | None, disk_trouble: Exception | None
     ) -> Iterator[Effect]:
-        """Check deadlines, drive and disk. It is called every `LOOK_S` of wall time.
+        """Check deadlines, drive and disk. It is called every `LOOK_S`.
 
         Args:
             now_ns: host time, ns since 1970.
@@ -367,7 +365,7 @@ class Core:
         if disk_trouble is not None:
             yield from self.fail(disk_trouble, now_ns)
         if now_ns >= self._watch_ns:
-            self._watch_ns = now_ns + round(self._patience(_WATCH_PERIOD_S) * 1e9)
+            self._watch_ns = now_ns + round(_WATCH_PERIOD_S * 1e9)
             yield from self._look_for_silence(now_ns)
             yield from self.report_lost_set_ups(now_ns)
         if disk is not None and now_ns >= self._health_ns:
@@ -390,7 +388,7 @@ class Core:
         if self._dropped_ns is None:
             self._dropped_ns = now_ns
             yield StopRotor()
-        if drive.why or now_ns - self._dropped_ns > self._patience(_MAX_REASON_DELAY_S) * 1e9:
+        if drive.why or now_ns - self._dropped_ns > _MAX_REASON_DELAY_S * 1e9:
             yield from self.fail(self.dropped_out(drive, self.host.words(now_ns)), now_ns)
 
     @staticmethod
@@ -410,7 +408,7 @@ class Core:
 
     def _look_for_silence(self, now_ns: int) -> Iterator[Effect]:
         """Warn of devices that send no bytes. The interlocks decide whether the run ends."""
-        limit_ns = self._patience(LINE_S) * 1e9
+        limit_ns = LINE_S * 1e9
         silent = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
         certain = silent & self._suspect if self.policy.commands and self.life.guarding else set[str]()
         for name in sorted(certain - self.mute):  # found twice, so the host was not suspended

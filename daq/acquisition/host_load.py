@@ -7,43 +7,40 @@ and reads were as late. The module has no clock; all times are arguments.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 
 RECENT_S = 10.0
-"""Age up to which a late tick may explain a failure, wall s: ramps and time-outs of drives last seconds."""
+"""Age up to which a late tick may explain a failure, s: ramps and time-outs of drives last seconds."""
 LATE_S = 0.3
-"""Lateness that may cause a failure, wall s: the shortest watchdogs of drives are about as long."""
+"""Lateness that may cause a failure, s: the shortest watchdogs of drives are about as long."""
 
 
 class HostLoad:
     """Latest ticks of a session.
 
     Args:
-        period_s: period of the ticks, wall s.
-        patience: converts wall seconds to rig seconds (`HostClock.patience`).
+        period_s: period of the ticks, s.
     """
 
-    def __init__(self, period_s: float, patience: Callable[[float], float]) -> None:
-        self._wall_ns = patience(1.0) * 1e9  # of the clock, in a wall second of a host that keeps up
+    def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self._before_ns: int | None = None
-        self._late: deque[tuple[int, float]] = deque()  # host ns, lateness, wall s
+        self._late: deque[tuple[int, float]] = deque()  # host ns, lateness, s
 
     def tick(self, now_ns: int) -> None:
         """Register a tick."""
         if self._before_ns is not None:
-            late_s = (now_ns - self._before_ns) / self._wall_ns - self._period_s
+            late_s = 1e-9 * (now_ns - self._before_ns) - self._period_s
             if late_s >= LATE_S:
                 self._late.append((now_ns, late_s))
         self._before_ns = now_ns
 
     def words(self, now_ns: int) -> str:
         """Return a sentence about the host if it was late recently; empty if not."""
-        while self._late and now_ns - self._late[0][0] > RECENT_S * self._wall_ns:
+        while self._late and now_ns - self._late[0][0] > RECENT_S * 1e9:
             self._late.popleft()
         worst_s = max((late_s for _, late_s in self._late), default=0.0)
         if self._before_ns is not None:  # a tick may be due for long
-            worst_s = max(worst_s, (now_ns - self._before_ns) / self._wall_ns - self._period_s)
+            worst_s = max(worst_s, 1e-9 * (now_ns - self._before_ns) - self._period_s)
         if worst_s < LATE_S:
             return ""
         return (

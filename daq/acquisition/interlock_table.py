@@ -21,15 +21,15 @@ from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks,
 from rig_configs.schema import Limits
 
 LOOK_S = 0.1
-"""Period of `Interlocks.tick`, live and in a replay, wall s."""
+"""Period of `Interlocks.tick`, live and in a replay, s."""
 TOGETHER_S = 0.3
-"""Time after the first reason of a trip within which further reasons belong to the same trip, wall s."""
+"""Time after the first reason of a trip within which further reasons belong to the same trip, s."""
 DISPLACEMENT_S, ANGLES_S, SPEED_S = 0.3, 1.0, 0.3
-"""Longest permitted time without a sample while the rotor turns, rig s."""
+"""Longest permitted time without a sample while the rotor turns, s."""
 AT_REST_S = 2.0
-"""Longest permitted time without a sample at rest, for a channel that the test needs, rig s."""
+"""Longest permitted time without a sample at rest, for a channel that the test needs, s."""
 HOST_S = 0.3
-"""Additional delay that the threads of the host may cause, wall s."""
+"""Additional delay that the threads of the host may cause, s."""
 BLIND_S = 0.25
 """Time over which more than half of the samples must be invalid, s of samples; a flash of light is shorter."""
 GONE_SAMPLES = 5
@@ -39,7 +39,7 @@ LARGE = 0.7
 FAULTY_S = 0.1
 """Time over which more than half of the samples must have a fault flag, s of samples."""
 LINE_S = 2.0
-"""Longest permitted time without a byte of a device, wall s."""
+"""Longest permitted time without a byte of a device, s."""
 
 Judge = Literal["channels", "session"]
 _STOP = "rotor stopped, test ended"
@@ -94,8 +94,8 @@ class Interlock:
         return bool(played[self.role])
 
 
-def _within(rig_s: float, wall_s: float = HOST_S) -> str:
-    return f"{rig_s:g} s + {wall_s:g} s wall" if rig_s else f"{wall_s:g} s wall"
+def _within(seconds: float) -> str:
+    return f"{seconds + HOST_S:g} s"
 
 
 def _silence(turning_s: float) -> str:
@@ -167,7 +167,7 @@ def _pendulum_rows() -> Iterator[Interlock]:
         "rotor phase",
         f"{TURNS_UNSEEN:g} turns without an index mark",
         "constant",
-        f"{TURNS_UNSEEN:g} turns + {RADIO_S:g} s wall",
+        f"{TURNS_UNSEEN:g} turns + {RADIO_S:g} s",
         role=RotorPhase.role,
     )
     yield Interlock(
@@ -248,7 +248,7 @@ def _session_rows() -> Iterator[Interlock]:
         "speed source",
         "the drive leaves operation without a command",
         _REPORT,
-        f"{LOOK_S:g} s wall",
+        f"{LOOK_S:g} s",
         role=SpeedSource.role,
         judge="session",
     )
@@ -265,9 +265,9 @@ def _session_rows() -> Iterator[Interlock]:
     yield Interlock(
         "silent line",
         "every device",
-        f"no byte for {LINE_S:g} s wall in two checks",
+        f"no byte for {LINE_S:g} s in two checks",
         "constant",
-        _within(0, LINE_S + 0.5),
+        f"{LINE_S + 0.5:g} s",
         _REOPENED,
         judge="session",
     )
@@ -285,7 +285,7 @@ def _session_rows() -> Iterator[Interlock]:
         "the log",
         "the disk is full, removed, or 64 MB behind",
         "constant",
-        _within(0, 0.25),
+        "0.25 s",
         f"{_STOP}; the log is complete",
         judge="session",
     )

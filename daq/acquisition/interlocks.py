@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -125,7 +125,6 @@ class Interlocks:
     Args:
         limits: limits of the rig file.
         roles: roles of the rig's devices. Interlocks of missing roles are inactive.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
         least: least motion of the turning rotor by the rig file's numbers.
         driving: whether this session may turn the rotor. Sessions that only receive stop nothing.
 
@@ -135,9 +134,7 @@ class Interlocks:
         resting: whether the rotor was at rest at the last tick and no speed has been commanded since.
     """
 
-    def __init__(
-        self, limits: Limits, roles: Roles, patience: Callable[[float], float], least: LeastMotion, *, driving: bool
-    ) -> None:
+    def __init__(self, limits: Limits, roles: Roles, least: LeastMotion, *, driving: bool) -> None:
         self._limits, self._driving = limits, driving
         self._device_of = roles.device_of
         self._lasers = tuple(sensor.topic for sensor in roles.displacements)
@@ -148,17 +145,16 @@ class Interlocks:
         limits_s += [(topic, s) for topic, s in ((self._angles, ANGLES_S), (self._speed, SPEED_S)) if topic]
         self._silences = dict.fromkeys(self._lasers, "silent displacement")
         self._silences |= {t: n for t, n in ((self._angles, "silent angles"), (self._speed, "silent speed")) if t}
-        self._rest_s = AT_REST_S + patience(HOST_S)
-        late_s = patience(HOST_S)
-        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + late_s) for t, s in limits_s}
+        self._rest_s = AT_REST_S + HOST_S
+        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + HOST_S) for t, s in limits_s}
         self._due = tuple(deadlines)
         self._node_s = deadlines[self._angles][1] if self._angles else math.inf
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
-        self.channels: ChannelWatch = ChannelWatch(deadlines, patience)
+        self.channels: ChannelWatch = ChannelWatch(deadlines)
         self._rest_rpm = roles.rest_rpm
         driven = self._speed is not None
-        self.rotor: RotorWatch = RotorWatch(limits.speed_rpm, patience, driven=driven, rest_rpm=self._rest_rpm)
+        self.rotor: RotorWatch = RotorWatch(limits.speed_rpm, driven=driven, rest_rpm=self._rest_rpm)
         self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)

@@ -24,7 +24,7 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s
+_RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, s
 _MOST_FAILURES = 10  # different texts about failed attempts to open a device again that are reported
 
 Taken = Callable[[str, Sequence[tuple[bytes, int]], bytes, int], None]
@@ -210,7 +210,7 @@ class Links:
             yield
 
     def heard_s(self) -> float:
-        """Return the time of the last byte of any device, wall s."""
+        """Return the time of the last byte of any device, s."""
         return max((reader.heard_s for reader in self._readers.values()), default=self._clock.wall_s())
 
     def _talk(self, name: str) -> OpenDevice:

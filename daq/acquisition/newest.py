@@ -12,7 +12,7 @@ from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.transports import HostClock
 
-_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, rig s
+_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, s
 
 
 class Channels:

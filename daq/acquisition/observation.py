@@ -23,8 +23,8 @@ from rig_configs.roles import PendulumAngles, Roles, SpeedSource
 _log = logging.getLogger(__name__)
 
 _LOCKED_S = 0.1  # duration of the newest pendulum angles that are checked
-_STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report, rig time
-_STEP_S = 0.1  # wall s between two calls of `progress`
+_STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report
+_STEP_S = 0.1  # s between two calls of `progress`
 
 Progress = Callable[[float], None]
 """Called with the completed share, 0 … 1."""
@@ -35,7 +35,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
 
     Args:
         session: the open session; `lenient`, so that devices that could not be opened are reported.
-        seconds: duration, wall s. It is longer only for status reports, which devices send each second, and for the
+        seconds: duration, s. It is longer only for status reports, which devices send each second, and for the
             drive's time-out; it is short if no device is open.
         progress: see `Progress`.
     """
@@ -53,10 +53,9 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
             stds.setdefault(name, []).append(std_ns)
     wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
     while not session.devices.all_identified() and session.clock.now_ns() < wait:
-        session.clock.sleep(_STEP_S)
+        session.clock.wait(_STEP_S)
     session.device_event_observers.remove(events.append)
     roles, plain, unopened = session.rig.roles, plain_rates(session, started), session.devices.unopened
-    scale = session.clock.patience(1.0)  # delays of the host are wall time
     speed, lasers = roles.speed, (*roles.displacements, *roles.witnesses)
     return RigObservation(
         seconds=(session.clock.now_ns() - started) * 1e-9,
@@ -69,7 +68,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
         time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
         own=_with_duties(session.devices.own_checks(events, session.rotor), roles),
-        clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) / scale for name, found in stds.items()},
+        clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) for name, found in stds.items()},
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.devices.identification_of(name)[1])},
         by_radio=frozenset(name for name, each in devices_of(session.rig.devices).items() if each.driver.by_radio),

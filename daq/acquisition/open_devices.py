@@ -55,7 +55,7 @@ class OpenDevices:
 
     @property
     def silent_s(self) -> float:
-        """Time since any device sent bytes, wall s."""
+        """Time since any device sent bytes, s."""
         return self._clock.wall_s() - self._links.heard_s()
 
     def without_samples(self) -> list[str]:

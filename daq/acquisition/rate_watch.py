@@ -10,7 +10,7 @@ exceeds this uncertainty plus the tolerance of the clock.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,22 +159,18 @@ class RateWatches:
 
     Args:
         devices: devices of the rig file.
-        patience: converts wall seconds to rig seconds (`HostClock.patience`). Delays of the host are wall time.
     """
 
-    def __init__(self, devices: Mapping[str, DeviceSettings], patience: Callable[[float], float] = float) -> None:
+    def __init__(self, devices: Mapping[str, DeviceSettings]) -> None:
         known = devices_of(devices)
         self._clocks = [clock for device in known.values() for clock in device.clocks]
-        self._delay_s = patience(_MIN_DELAY_ERROR_S)
-        self._min_span_s = min(patience(_MIN_SPAN_S), 0.9e-9 * _BINS * _BIN_NS)
-        self._look_ns = round(patience(_LOOK_NS))
-        self._first_look_ns = round(patience(_FIRST_LOOK_NS))
+        self._min_span_s = min(_MIN_SPAN_S, 0.9e-9 * _BINS * _BIN_NS)
         self._topics_of = {name: [clock.topic for clock in device.clocks] for name, device in known.items()}
         self.begin()
 
     def begin(self) -> None:
         """Begin a log: discard all samples and counts."""
-        self._watches = {clock.topic: RateWatch(clock, self._delay_s) for clock in self._clocks}
+        self._watches = {clock.topic: RateWatch(clock, _MIN_DELAY_ERROR_S) for clock in self._clocks}
         self._due: dict[str, int] = {}
         self._suspect: set[str] = set()
         self._wrong: dict[str, Rate] = {}
@@ -192,8 +188,8 @@ class RateWatches:
             if (watch := self._watches.get(item.channel.topic)) is not None:
                 watch.feed(item, host_ns)
                 topic = item.channel.topic
-                if host_ns >= self._due.setdefault(topic, host_ns + self._first_look_ns):
-                    self._due[topic] = host_ns + self._look_ns
+                if host_ns >= self._due.setdefault(topic, host_ns + _FIRST_LOOK_NS):
+                    self._due[topic] = host_ns + _LOOK_NS
                     out += self._look(topic, watch.rate())
         return out
 
@@ -217,7 +213,7 @@ class RateWatches:
         is_new = topic not in self._wrong
         self._wrong[topic] = rate
         self._worst[topic] = max(self._worst.get(topic, rate), rate, key=lambda r: abs(r.off_ppm))
-        self._seconds[topic] += self._look_ns * 1e-9
+        self._seconds[topic] += _LOOK_NS * 1e-9
         return [_event(topic, rate, f"{topic}: {rate.words()}")] if is_new else []
 
     def rates(self) -> Mapping[str, Rate | None]:

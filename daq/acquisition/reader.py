@@ -22,13 +22,12 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_NEXT_S = 0.005  # wait for the next arrival after a rest, wall s
+_NEXT_S = 0.005  # wait for the next arrival after a rest, s
 _MAX_QUICK = 8  # consecutive arrivals within `_NEXT_S` after which a device no longer counts as sparse
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024  # smallest array that glibc takes directly from the system
-_FAST_REST_S = 0.015  # least rest if rig time passes faster than wall time, since a turn takes more rig time; rig s
-_CALM_REST_S = 0.04  # least rest if no interlock waits for the bytes, rig s
-_WAIT_S = 0.1  # longest wait for bytes, after which the thread checks whether to end; wall s
+_CALM_REST_S = 0.04  # least rest if no interlock waits for the bytes, s
+_WAIT_S = 0.1  # longest wait for bytes, after which the thread checks whether to end; s
 
 Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
 """Called with the bytes sent (each with its host time, ns), the bytes received, and their host time, ns."""
@@ -39,7 +38,7 @@ class Read:
     """Wait for bytes; bytes that have arrived before count.
 
     Attributes:
-        wall_s: timeout, wall s.
+        wall_s: timeout, s.
     """
 
     wall_s: float
@@ -50,7 +49,7 @@ class Rest:
     """Let bytes accumulate.
 
     Attributes:
-        seconds: duration, rig s.
+        seconds: duration, s.
     """
 
     seconds: float
@@ -96,7 +95,7 @@ class _Sparse:
         Args:
             is_isolated: whether no bytes followed the bytes that arrived during the rest.
             has_bytes: whether bytes have arrived.
-            wall_s: time of the turn, wall s.
+            wall_s: time of the turn, s; it never steps.
         """
         if is_isolated:
             self._is_sparse, self._quick = True, 0
@@ -114,7 +113,7 @@ class DeviceReader:
         name: name of the device in the rig file.
         link: the open link.
         clock: host clock for the time stamps of arrivals.
-        rest_s: rest between two turns, rig s. The cost of a turn depends on the wake-up, not on the number of bytes.
+        rest_s: rest between two turns, s. The cost of a turn depends on the wake-up, not on the number of bytes.
         calm: returns whether no interlock waits for the device's samples, so that the rest may be longer.
 
     Attributes:
@@ -122,7 +121,7 @@ class DeviceReader:
             Sending does not wait for it.
         replies: text answers of the device.
         bytes_in: number of bytes received.
-        heard_s: time of the last bytes, wall s.
+        heard_s: time of the last bytes, s.
     """
 
     def __init__(
@@ -196,7 +195,7 @@ class DeviceReader:
         wanted = next(turns)
         while not self._ending:
             if isinstance(wanted, Rest):
-                self._clock.wait(self._clock.wall(wanted.seconds))
+                self._clock.wait(wanted.seconds)
                 wanted = turns.send(b"")
                 continue
             try:
@@ -225,8 +224,7 @@ class DeviceReader:
                 self._arrived(rested + data, take)
                 is_isolated, rested = bool(rested) and not data, b""  # cleared here: the bytes must not be taken twice
                 if not sparse.arrived(is_isolated, bool(data), self._clock.wall_s()):
-                    min_rest_s = _FAST_REST_S if self._clock.rate > 1 else _CALM_REST_S if self._calm() else 0.0
-                    yield Rest(max(self._rest_s, min_rest_s))
+                    yield Rest(max(self._rest_s, _CALM_REST_S) if self._calm() else self._rest_s)
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:

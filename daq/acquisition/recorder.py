@@ -27,11 +27,11 @@ from rig_basics.texts import distinct
 
 _log = logging.getLogger(__name__)
 
-_FLUSH_S = 0.05  # period of writer and sync, wall s
+_FLUSH_S = 0.05  # period of writer and sync, s
 BACKLOG_BYTES = 64 * 2**20
 """Largest backlog, some minutes of a rig's bytes. A larger one ends the run, since the disk is too slow."""
 _SLOW_SHARE = 0.02  # of `BACKLOG_BYTES`: the disk counts as slow above this share, or …
-_SLOW_SYNC_S = 1.0  # … if the oldest bytes have not been synchronised for this time, wall s
+_SLOW_SYNC_S = 1.0  # … if the oldest bytes have not been synchronised for this time, s
 _ITEM_BYTES = 400  # memory of an item in addition to its data
 _SPARE_BYTES = 2 * 2**20  # space reserved on the disk to finish the file …
 _SPARE_BYTES_A_FLUSH = 300  # … and its increase with every flush, for the index of the file
@@ -47,11 +47,11 @@ class DiskState:
 
     Attributes:
         backlog_bytes: size of the backlog.
-        unsynced_s: age of the oldest bytes that have not been synchronised to the disk, wall s.
-        slow_s: total time for which the disk was slow, wall s.
+        unsynced_s: age of the oldest bytes that have not been synchronised to the disk, s.
+        slow_s: total time for which the disk was slow, s.
         written_bytes: size of the file.
         free_bytes: free space of the disk.
-        seconds_left: time until the disk is full at the present rate, wall s; infinite if unknown.
+        seconds_left: time until the disk is full at the present rate, s; infinite if unknown.
     """
 
     backlog_bytes: int = 0

@@ -22,8 +22,8 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, wall s
-_MAX_WATCHDOG_STOP_S = 8.0  # for an unreachable drive to stop the rotor by its watchdog, wall s
+_RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, s
+_MAX_WATCHDOG_STOP_S = 8.0  # for an unreachable drive to stop the rotor by its watchdog, s
 
 
 class RotorCommand:
@@ -98,7 +98,7 @@ class RotorCommand:
         """Wait until the rotor is at rest.
 
         Args:
-            wall_s: timeout, wall s.
+            wall_s: timeout, s.
 
         Raises:
             DeviceError: at the timeout the rotor turns, or its state is unknown.

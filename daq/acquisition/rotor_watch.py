@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import takewhile
 
@@ -25,7 +24,7 @@ _MIN_MARKLESS_S = (
 TURNS_UNSEEN = 2.5
 """Permitted turns of the drive without an index mark."""
 RADIO_S = 1.0
-"""Longest delay of index marks by the radio, wall s."""
+"""Longest delay of index marks by the radio, s."""
 RUNAWAY = (0.10, 20.0)
 """Permitted deviation from the commanded speed: share, and additional rpm."""
 OVERSPEED = (0.05, 10.0)
@@ -41,7 +40,7 @@ ROWS_BEYOND = 3
 _MAX_BRAKED_RPM = (
     100.0  # largest decrease between two reports by braking; after a larger one, 0 rpm is not a measurement
 )
-_HISTORY_S = 12.0  # age of reports and marks that are kept, rig s
+_HISTORY_S = 12.0  # age of reports and marks that are kept, s
 _MIN_MARKS_S = 1.0  # least time, and …
 _MIN_MARKS = 5  # … least number of index marks for the comparison of their rate with the drive
 
@@ -64,7 +63,6 @@ class RotorWatch:
 
     Args:
         limit_rpm: speed limit.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
         driven: whether a device turns the rotor and reports its speed.
         rest_rpm: largest speed that the device reports for a rotor at rest.
 
@@ -75,16 +73,15 @@ class RotorWatch:
     def __init__(
         self,
         limit_rpm: float,
-        patience: Callable[[float], float],
         *,
         driven: bool = True,
         rest_rpm: float = AT_REST_RPM,
     ) -> None:
         self._limit_rpm, self._driven, self._rest_rpm = limit_rpm, driven, rest_rpm
-        self._max_report_age_ns = _ns(patience(0.5))
-        self._late_ns = _ns(patience(0.3))  # largest delay of the host
-        self._settled_ns = _ns(patience(0.1))
-        self._radio_s = patience(RADIO_S)
+        self._max_report_age_ns = _ns(0.5)
+        self._late_ns = _ns(0.3)  # largest delay of the host
+        self._settled_ns = _ns(0.1)
+        self._radio_s = RADIO_S
         self._drive_rpm: float | None = None
         self._drive_ns = 0
         self._unmeasured_ns: int | None = None  # of the drive's newest report without a speed

@@ -32,9 +32,9 @@ from daq.transports.host_clock import Repeated
 from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
-_MAX_START_S = 3.0  # from the start of the streams to samples of every device, wall s
-_MAX_BUSY_S = 0.25  # longest wait of 3 ms on a busy host; a longer one is a stall (suspended, stopped), wall s
-_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, rig s
+_MAX_START_S = 3.0  # from the start of the streams to samples of every device, s
+_MAX_BUSY_S = 0.25  # longest wait of 3 ms on a busy host; a longer one is a stall (suspended, stopped), s
+_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, s
 
 
 class Session:
@@ -86,7 +86,7 @@ class Session:
         refuse_shared_ports(rig.devices)  # the rig may come from a log and not from a checked file
         self._notify = notify
         edge = edge or real_edge()
-        core = self._core = Core(rig, clock.patience, policy, self.life)
+        core = self._core = Core(rig, policy, self.life)
         self._links = Links(self._known, clock, edge, core, self.identities, self._on_bytes, self._on_link_lost)
         self.rotor: RotorCommand = RotorCommand(core, self._known, self._links.send, clock, self.check)
         topics = tuple(channel.topic for device in self._known.values() for channel in device.channels)
@@ -400,7 +400,7 @@ class Session:
 
         Args:
             condition: is evaluated every 3 ms.
-            wall_s: timeout, wall s, without the time for which the host was stalled.
+            wall_s: timeout, s, without the time for which the host was stalled.
             what: description of the condition for the message.
 
         Raises:
@@ -414,7 +414,7 @@ class Session:
             deadline += self._stalled_s()
 
     def _stalled_s(self) -> float:
-        """Wait 3 ms, and return the wall time by which a stalled host exceeded this, s; 0 for a host that is busy.
+        """Wait 3 ms, and return the time by which a stalled host exceeded this, s; 0 for a host that is busy.
 
         The devices' bytes waited as well, so that their time-outs would blame the devices.
         """

@@ -73,7 +73,6 @@ class SessionLog:
             "rig": self._rig.name,
             "software": software_version(),
             "decoder": str(DECODER),
-            "clock_rate": repr(self._clock.rate),
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._clock.now_s())),
             **calibrations_of(self._rig.devices),
             **metadata,

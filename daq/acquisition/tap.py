@@ -26,7 +26,7 @@ _RISE_S = 0.1  # longest time from the begin of a movement to its first extreme
 _FALLEN = 0.8  # share of the extreme at which it has passed
 _LEAST_M = 30e-6  # of a movement
 _NOISES = 3.0  # peak-to-peak values at rest that a movement exceeds
-_QUIET_S = 30.0  # longest wait for the column to come to rest between two taps, rig s
+_QUIET_S = 30.0  # longest wait for the column to come to rest between two taps, s
 _POLL_S = 0.05
 
 
@@ -153,7 +153,7 @@ def tap_test(session: Session, prompt: Callable[[str], None], patience_s: float 
     Args:
         session: the open session; the rotor stands.
         prompt: called with each request to the operator.
-        patience_s: longest wait for a tap, wall s.
+        patience_s: longest wait for a tap, s.
 
     Raises:
         NoTap: no movement was seen in that time.
@@ -183,9 +183,9 @@ def _newest(session: Session, since_ns: int) -> dict[str, ObservedDisplacement]:
 
 def _wait_for_rest(session: Session) -> None:
     """Wait until the column stands, at most `_QUIET_S`."""
-    end_s = session.clock.wall_s() + session.clock.wall(_QUIET_S)
+    end_s = session.clock.wall_s() + _QUIET_S
     while session.clock.wall_s() < end_s:
-        session.clock.sleep(_BEFORE_S)
+        session.clock.wait(_BEFORE_S)
         newest = _newest(session, session.clock.now_ns() - int(_BEFORE_S * 1e9))
         if all(_stands(one.value_m[np.isfinite(one.value_m)]) for one in newest.values()):
             break

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -28,10 +28,10 @@ from daq.log.outcome import TRIP
 from rig_configs.roles import Roles
 
 BEFORE_S, AFTER_S = 1.0, 1.0
-"""Length of the excerpt before and after the first reason, rig s."""
+"""Length of the excerpt before and after the first reason, s."""
 POINTS = 99
 """Maximum number of points of one field."""
-_MAX_READ_DELAY_S = 0.1  # of the last samples of the excerpt, wall s
+_MAX_READ_DELAY_S = 0.1  # of the last samples of the excerpt, s
 _MAX_REASONS = 24
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
@@ -67,16 +67,15 @@ class Trips:
     Args:
         channels: channels of the excerpt.
         roles: roles of the rig. The speed comes from the index marks, without them from the speed source.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
         reasons: reasons of the trip so far in their order; empty without a trip.
     """
 
-    def __init__(self, channels: Iterable[Channel], roles: Roles, patience: Callable[[float], float]) -> None:
+    def __init__(self, channels: Iterable[Channel], roles: Roles) -> None:
         self._channels, self._roles = tuple(channels), roles
-        self._together_ns = int(patience(TOGETHER_S) * 1e9)
-        self._due_ns = int((AFTER_S + patience(_MAX_READ_DELAY_S)) * 1e9)
+        self._together_ns = int(TOGETHER_S * 1e9)
+        self._due_ns = int((AFTER_S + _MAX_READ_DELAY_S) * 1e9)
         self._lock = threading.Lock()
         self._is_reported = False
         self._later: dict[str, None] = {}

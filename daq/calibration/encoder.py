@@ -83,7 +83,7 @@ def check_senses(session: Session, operator: TurnsPendulums, locks: Locks, notif
     locks.release(turning=False)
     senses: list[int] = []
     for pendulum in (0, 1):
-        session.clock.sleep(0.5)
+        session.clock.wait(0.5)
         begun, columns = session.channels.newest(role.topic, ANGLE_FIELDS, 0.1)
         if not len(begun):
             raise DeviceError(f"{role.device}: no angles arrive. Look at the node and its radio")
@@ -122,7 +122,7 @@ def close_repeatedly(
     found: list[tuple[LockPosition, LockPosition]] = []
     for number in range(1, count + 1):
         locks.lock()
-        session.clock.sleep(_READ_S + 0.2)
+        session.clock.wait(_READ_S + 0.2)
         _, (a, b, flags) = session.channels.newest(role.topic, (*ANGLE_FIELDS, "flags"), _READ_S)
         places = lock_positions(np.column_stack([a, b]), _closed(flags, session), role.zero_std_deg)
         if len(places) != 2:
@@ -137,7 +137,7 @@ def close_repeatedly(
         if number < count:
             locks.release(turning=False)
             operator.scatter()
-            session.clock.sleep(1.0)
+            session.clock.wait(1.0)
     return found
 
 

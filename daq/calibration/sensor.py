@@ -46,7 +46,7 @@ class SensorSetup:
         toward: whether a larger position moves the target toward the sensor (a thicker block): the reading falls.
         at_disk: whether the positions are displacements of the disk and not of the sensor's target. Gain and lever are
             then calibrated together.
-        seconds: duration of one reading, rig s.
+        seconds: duration of one reading, s.
         zero_m: position that is displacement 0; None: the offset is not determined.
     """
 
@@ -114,9 +114,9 @@ def _steady(
     """Return mean and standard uncertainty of a reading of a target at rest, m at the disk."""
     why = ""
     for _ in range(_ATTEMPTS):
-        session.clock.sleep(0.3)
+        session.clock.wait(0.3)
         started = session.clock.now_ns()
-        session.clock.sleep(seconds)
+        session.clock.wait(seconds)
         session.check()
         _, (x,) = session.channels.recent.last(settings.topic, ("displacement_m",), started)
         why = _why_not(x, settings.rate_Hz * seconds)

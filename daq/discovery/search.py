@@ -25,9 +25,9 @@ from daq.transports import HostClock, Link
 
 _log = logging.getLogger(__name__)
 
-_SILENCE_S = 1.2  # wall s; nodes and drives report at least each second
-_LOOK_S = 0.4  # wall s for which a line with bytes is read at each rate
-_FULL_LOOK_S = 1.3  # wall s for which the line of a candidate is read: the report of each second is among its bytes
+_SILENCE_S = 1.2  # s; nodes and drives report at least each second
+_LOOK_S = 0.4  # s for which a line with bytes is read at each rate
+_FULL_LOOK_S = 1.3  # s for which the line of a candidate is read: the report of each second is among its bytes
 _READ_S = 0.02
 _MOST_BYTES = 1_000_000  # of one look
 
@@ -50,7 +50,7 @@ class Result:
         rate_Hz: sample rate by the host's clock, rounded to a usual one, Hz; None if unknown.
         bytes_in: number of bytes received without a request.
         others: names of other drivers that decode the bytes too.
-        seconds: duration of the search, wall s.
+        seconds: duration of the search, s.
     """
 
     port: str
@@ -155,7 +155,7 @@ class PortSearch:
         )
 
     def _read(self, link: Link, silence_s: float, look_s: float) -> list[tuple[bytes, int]]:
-        """Read a port: for `silence_s` while it is silent, for `look_s` from its first byte; wall s."""
+        """Read a port: for `silence_s` while it is silent, for `look_s` from its first byte; s."""
         reads: list[tuple[bytes, int]] = []
         size, end = 0, self._clock.wall_s() + silence_s
         while (left := end - self._clock.wall_s()) > 0 and size < _MOST_BYTES:

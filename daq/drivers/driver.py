@@ -149,7 +149,7 @@ class Driver:
             raises LogError if the identity is impossible for such a device.
         code_meaning: returns the meaning of a code in the channel's field `code`, which some sensors send in place of
             a value, for example without a target: a short clause; empty if it is unknown.
-        rest_s: longest pause of the reader between two reads, rig s; short if samples get the host's time.
+        rest_s: longest pause of the reader between two reads, s; short if samples get the host's time.
         compile: compiles loops before the first byte arrives.
         by_radio: whether the samples come by radio, where a small share of them is lost on a healthy rig.
         claims: keys of CLAIMS.

@@ -30,7 +30,7 @@ class IdentityRequest:
     Attributes:
         data: bytes to send; none to only receive.
         is_answered: whether the bytes received since the request contain its answer.
-        wait_s: longest wait for the answer, wall s.
+        wait_s: longest wait for the answer, s.
     """
 
     data: bytes
@@ -64,7 +64,7 @@ class Announcement:
         read: returns the device of a datagram and its sender's address; None if it is another one.
         request: datagram that is broadcast; none if devices announce themselves without one.
         request_port: port to which it is broadcast.
-        wait_s: time to wait for announcements, wall s.
+        wait_s: time to wait for announcements, s.
     """
 
     port: int

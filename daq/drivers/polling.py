@@ -13,7 +13,7 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_LEAST_BEAT_S = 0.001  # wall s, shortest period of the thread
+_LEAST_BEAT_S = 0.001  # s, shortest period of the thread
 _BEATS = 4  # beats in a period: a request is late by at most a quarter of it
 
 
@@ -25,8 +25,8 @@ class Request:
         data: returns the bytes of a request from its number, 0, 1, …
         end: byte that ends an answer; b"" if any bytes are one. With it an echo of the request, as on a line with two
             wires, is no answer.
-        period_s: time from one request to the next, rig s.
-        answer_s: wall time after which a request counts as unanswered and the next one is sent, s.
+        period_s: time from one request to the next, s.
+        answer_s: time after which a request counts as unanswered and the next one is sent, s.
     """
 
     data: Callable[[int], bytes]
@@ -47,7 +47,7 @@ class RequestLoop:
     def __init__(self, request: Request, send: Callable[[bytes], None], clock: HostClock) -> None:
         self._request, self._send, self._clock = request, send, clock
         self._lock = threading.Lock()
-        self._asked_s: float | None = None  # wall time of the request that is not answered yet
+        self._asked_s: float | None = None  # time of the request that is not answered yet
         self._due_s = 0.0
         self._number = 0  # of the next request
         self._echo = b""  # part of the newest request whose echo may still come
@@ -58,7 +58,7 @@ class RequestLoop:
         self.stop()
         self._asked_s, self._echo = None, b""  # a request before a pause is not answered any more
         self._due_s = self._clock.wall_s()
-        beat_s = max(_LEAST_BEAT_S, self._clock.wall(self._request.period_s) / _BEATS)
+        beat_s = max(_LEAST_BEAT_S, self._request.period_s / _BEATS)
         self._repeated = self._clock.every(beat_s, self._beat, "polls", self._failed)
 
     def heard(self, data: bytes) -> None:
@@ -92,7 +92,7 @@ class RequestLoop:
             repeated.stop()
 
     def _beat(self) -> None:
-        now, period = self._clock.wall_s(), self._clock.wall(self._request.period_s)
+        now, period = self._clock.wall_s(), self._request.period_s
         with self._lock:
             waits = self._asked_s is not None and now - self._asked_s < self._request.answer_s
             if self._repeated is None or waits or now < self._due_s:

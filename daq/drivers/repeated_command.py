@@ -30,10 +30,10 @@ MAX_REPORT_AGE_S = 0.5
 """Wall s after which a report is too old."""
 ANSWER_S = 0.1
 """Wall s to wait for an answer before the question is sent again."""
-_ENABLE_S = 3.0  # wall s for the controller to obey
-_RELEASE_S = 0.5  # wall s for the controller to confirm the command to release the rotor
-_MIN_BEAT_S = 0.002  # wall s, shortest period of the thread, for fast rig time
-_MAX_STEP_S = 0.25  # wall s, longest step of the ramp
+_ENABLE_S = 3.0  # s for the controller to obey
+_RELEASE_S = 0.5  # s for the controller to confirm the command to release the rotor
+_MIN_BEAT_S = 0.002  # s, shortest period of the thread
+_MAX_STEP_S = 0.25  # s, longest step of the ramp
 
 
 class Mode(Enum):
@@ -83,7 +83,7 @@ class RepeatedCommand(ABC):
         clock: clock for the ramp, the timeouts and the age of reports.
         guard: conditions for turning the rotor; without it only the controller's own reports are used.
         min_rpm: least speed that the controller holds, rpm.
-        beat_s: longest period of the thread, rig s.
+        beat_s: longest period of the thread, s.
 
     Attributes:
         mode: command that is being repeated.
@@ -108,7 +108,7 @@ class RepeatedCommand(ABC):
             at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= settings.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._ramp = SetpointRamp(settings.ramp_rpm_per_s, min_rpm, clock.patience(_MAX_STEP_S))
+        self._ramp = SetpointRamp(settings.ramp_rpm_per_s, min_rpm, _MAX_STEP_S)
         self._deciding, self._sending = threading.Lock(), threading.Lock()
         self._repeated: Repeated | None = None
         self.mode: Mode = Mode.NOTHING
@@ -177,7 +177,7 @@ class RepeatedCommand(ABC):
 
     def _is_recent(self, time_ns: int) -> bool:
         """Return whether a report of that time is recent enough to be used."""
-        return bool(time_ns) and self._clock.now_ns() - time_ns <= self._clock.patience(MAX_REPORT_AGE_S) * 1e9
+        return bool(time_ns) and self._clock.now_ns() - time_ns <= MAX_REPORT_AGE_S * 1e9
 
     @property
     def actual_rpm(self) -> float:
@@ -201,9 +201,7 @@ class RepeatedCommand(ABC):
             self._repeated.stop()
         self.beat()
         # a lost link is reported by its reader; a controller without commands stops by its own timeout
-        self._repeated = self._clock.every(
-            max(_MIN_BEAT_S, self._clock.wall(self._beat_s)), self.beat, "command", lambda error: None
-        )
+        self._repeated = self._clock.every(max(_MIN_BEAT_S, self._beat_s), self.beat, "command", lambda error: None)
 
     def beat(self) -> None:
         """Send the command and the question if they are due.

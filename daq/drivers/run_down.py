@@ -9,12 +9,12 @@ from daq.drivers.contract import RotorGuard
 from daq.errors import LinkLost
 from daq.transports.host_clock import HostClock
 
-_MAX_RUN_DOWN_S = 60.0  # rig s that a rotor without torque may need to stop
-_MAX_CONSTANT_S = 5.0  # wall s without decrease of the speed after which the wait ends
+_MAX_RUN_DOWN_S = 60.0  # s that a rotor without torque may need to stop
+_MAX_CONSTANT_S = 5.0  # s without decrease of the speed after which the wait ends
 _MAX_SEND_FAILURES = 3  # commands that may fail to be sent before the wait ends
-_RETRY_S = 0.05  # wall s from a command that failed to be sent to the next one
-_REPEAT_S = 0.25  # wall s between two commands
-_NOTIFY_EVERY_S = 2.0  # wall s between two texts about the wait
+_RETRY_S = 0.05  # s from a command that failed to be sent to the next one
+_REPEAT_S = 0.25  # s between two commands
+_NOTIFY_EVERY_S = 2.0  # s between two texts about the wait
 
 
 def wait_for_rest(
@@ -41,7 +41,7 @@ def wait_for_rest(
         now, speed = clock.wall_s(), rotor.speed_rpm()
         if not speed > least - 1.0:  # also if no device reports the speed (NaN): then index marks alone decide
             slower, least = now, speed
-        too_long = now - begun > clock.wall(_MAX_RUN_DOWN_S) or now - slower > _MAX_CONSTANT_S
+        too_long = now - begun > _MAX_RUN_DOWN_S or now - slower > _MAX_CONSTANT_S
         if too_long or (rest is None and now - begun > _MAX_CONSTANT_S):
             return False
         if now >= next_order:

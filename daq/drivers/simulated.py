@@ -19,7 +19,7 @@ class MotionInterval(Protocol):
     """Motion of the rig over a short interval.
 
     Attributes:
-        time_s: instants, rig s, shape (n,).
+        time_s: instants, s, shape (n,).
         rows: x, y, θ3, θ4, their rates, ψ and its rate at each instant, shape (n, 10); m, rad, s.
     """
 
@@ -37,7 +37,7 @@ class MotionInterval(Protocol):
         """Interpolate a column at times between the instants.
 
         Args:
-            time_s: times, rig s.
+            time_s: times, s.
             value: index of the column.
             rate: index of the column with its rate.
         """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from daq.drivers.contract import Talk
 
-_TRIES, _TRY_S, _QUIET_S = 3, 1.0, 0.1  # wall seconds
+_TRIES, _TRY_S, _QUIET_S = 3, 1.0, 0.1  # seconds
 
 
 def stop_stream(talk: Talk, order: bytes) -> bool:

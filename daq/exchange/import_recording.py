@@ -171,7 +171,6 @@ def _facts(recording: ColumnFile, rig: Rig, recipe: Recipe, clock: RecorderClock
     facts = {
         "rig": rig.name,
         "software": software_version(),
-        "clock_rate": "1.0",
         **clock.facts,
         "test": recipe.test_name,
         "note": recipe.note,

@@ -31,9 +31,9 @@ from daq.log.outcome import ending
 from daq.transports import HostClock
 from rig_configs.roles import PendulumAngles
 
-_PAST_S = 3.0  # pre-trigger of the log of a test that was stopped before its log, rig s; short, since it is decoded
+_PAST_S = 3.0  # pre-trigger of the log of a test that was stopped before its log, s; short, since it is decoded
 # while no device is read and the rotor turns
-_FLAGS_S = 0.5  # stretch of the flags that are checked while a test runs, rig s
+_FLAGS_S = 0.5  # stretch of the flags that are checked while a test runs, s
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class RigCommands:
         """Begin the test's log.
 
         Args:
-            before_s: length of the pre-trigger, rig s.
+            before_s: length of the pre-trigger, s.
         """
         self._begin(before_s)
 
@@ -242,7 +242,7 @@ class RigCommands:
         """Check the counters at the closed locks, and the description of their device.
 
         Args:
-            span_s: length of the newest stretch of samples that is checked, rig s.
+            span_s: length of the newest stretch of samples that is checked, s.
 
         Raises:
             DeviceError: the device deviates from the rig file.

@@ -13,10 +13,10 @@ from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _MAX_STATUS_S = 2.5  # wait for a device's description; it is sent every second, and one message may be lost
-_LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the counters are checked, rig s
-_SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, rig s
-_HELD_S = 1.0  # for which a drive must hold a speed, so that a ramp that passes it does not count, rig s
-_BY_HAND_S = 240.0  # the same if a person turns the rotor, wall s
+_LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the counters are checked, s
+_SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, s
+_HELD_S = 1.0  # for which a drive must hold a speed, so that a ramp that passes it does not count, s
+_BY_HAND_S = 240.0  # the same if a person turns the rotor, s
 _NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbit is several times as large
 
 ASK_TO_LOCK = "with the rotor at rest, lock both pendulums: A at 0°, B at 180°"
@@ -72,7 +72,6 @@ def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple
         rpm=rpm,
         usual_s=rpm / ramp + 1.0,
         limit_s=1.5 * rpm / ramp + (_SPIN_UP_S if role else _BY_HAND_S),
-        wall=role is None,
         missed=lambda view: (
             f"{rpm:.0f} rpm: {view.rpm:.0f} rpm after {view.in_state_s:.0f} s" + (speed_advice(view) if role else "")
         ),
@@ -117,7 +116,7 @@ def share_of(now: float, whole: float) -> float | None:
 
 def _described(view: StateView) -> StateObservation:
     """Wait until the encoders' device has described itself, at most for a limited time."""
-    late = view.in_state_s > _MAX_STATUS_S + view.measures.patience_s(_MAX_STATUS_S)
+    late = view.in_state_s > 2 * _MAX_STATUS_S
     described = late or view.measures.angles_described()
     return StateObservation(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
 
@@ -150,7 +149,6 @@ LOCKS_SEEN = State(
     look=_described,
     period_s=_LOCKED_LOOK_S,
     limit_s=4 * _MAX_STATUS_S,
-    wall=True,
     usual_s=0.4,
     late="counters",
 )

@@ -27,13 +27,13 @@ from rig_configs.roles import PendulumAngles
 Array = NDArray[np.floating[Any]]
 
 HUMAN_S = 120.0
-"""Timeout for a person, wall s."""
+"""Timeout for a person, s."""
 MAX_LOCK_S = 10.0
-"""Timeout for a lock's mechanism, wall s."""
+"""Timeout for a lock's mechanism, s."""
 _STOP_RAMP_RPM_S = 400.0
-_MAX_STOP_S = 30.0  # timeout for the rotor to come to rest, wall s
-_MAX_SEEN_S = 1.0  # timeout for locked pendulums to be measured, wall s
-_HELD_S = 0.4  # stretch over which pendulums are observed before they count as held, rig s
+_MAX_STOP_S = 30.0  # timeout for the rotor to come to rest, s
+_MAX_SEEN_S = 1.0  # timeout for locked pendulums to be measured, s
+_HELD_S = 0.4  # stretch over which pendulums are observed before they count as held, s
 _MAX_HELD_MOTION_RAD = math.radians(0.3)  # peak to peak of a held pendulum
 SEEN_RAD = math.radians(0.35)
 """Displacement above which a pendulum counts as moving: four steps of an ordinary encoder."""
@@ -45,7 +45,7 @@ HAND_RAMP_RPM_S = 20.0
 Progress = Callable[[str, float | None], None]
 """Called with a description of the progress and the completed share, 0 … 1 (None if unknown)."""
 Wait = Callable[[Callable[[], bool], float, str], None]
-"""Waits for a condition: arguments are the condition, the timeout in wall s, and its description; see
+"""Waits for a condition: arguments are the condition, the timeout in s, and its description; see
 `Session.wait_for`."""
 
 
@@ -191,7 +191,7 @@ class DrivenRotor(RotorHand):
             self.begin()
         drive.set_speed(0)
         self._s.rotor.wait_for_rest(_MAX_STOP_S)
-        self._s.clock.sleep(0.5)
+        self._s.clock.wait(0.5)
         self._s.rotor.wait_for_rest(_MAX_STOP_S)
         drive.disable()
 

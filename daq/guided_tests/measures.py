@@ -13,7 +13,7 @@ from daq.signals.settling import DISPLACEMENTS_S, RotorSignals, Settling, Settli
 from daq.signals.window_means import whole_revolutions
 from rig_basics.arrays import Array
 
-_COMPARED_S = 3.0  # of reports and index marks, rig s; five turns at 100 rpm
+_COMPARED_S = 3.0  # of reports and index marks, s; five turns at 100 rpm
 ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
 """Fields of the pendulum angles A and B in their channel."""
 
@@ -25,12 +25,8 @@ class Measures:
         self._s = session
 
     def since(self, seconds: float) -> int:
-        """Return the time that lies a number of rig seconds in the past, ns since 1970."""
+        """Return the time that lies a number of seconds in the past, ns since 1970."""
         return self._s.clock.now_ns() - int(seconds * 1e9)
-
-    def patience_s(self, wall_s: float) -> float:
-        """Convert a timeout in wall seconds to rig seconds."""
-        return self._s.clock.patience(wall_s)
 
     def angles_described(self) -> bool:
         """Return whether the device of the pendulum angles has described itself; True if the rig has none."""

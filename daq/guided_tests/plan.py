@@ -22,9 +22,8 @@ class PlannedState:
         who: name of the acting device, "operator" or "program".
         asks: request to the operator; empty if a device or the program acts.
         rpm: rotor speed at the end of the state, rpm.
-        usual_s: usual duration, rig s.
+        usual_s: usual duration, s.
         limit_s: longest permitted duration, s; 0 if the commands have timeouts of their own.
-        limit_is_wall: whether `limit_s` is wall time.
         no_pause: reason why the test must not pause here; empty if it may.
         done, late: names of the states that follow these outcomes.
     """
@@ -37,7 +36,6 @@ class PlannedState:
     rpm: float
     usual_s: float
     limit_s: float
-    limit_is_wall: bool
     no_pause: str
     done: str
     late: str
@@ -54,7 +52,7 @@ class GuidedTestPlan:
         numbers: numbers of the test, by name.
         states: states in their usual order.
         repeats: number of runs.
-        usual_s: usual duration of all runs, rig s.
+        usual_s: usual duration of all runs, s.
         top_rpm: highest speed, rpm.
         limit_rpm, limit_m: limits of the interlocks, rpm and m.
         warning: limitation of the test; empty if there is none.
@@ -122,7 +120,6 @@ def _planned(state: State, roles: Roles, done: str, late: str) -> PlannedState:
         rpm=state.rpm,
         usual_s=state.usual_s,
         limit_s=state.limit_s + state.extension_s,
-        limit_is_wall=state.wall,
         no_pause=state.no_pause,
         done=_LAST.get(done, done),
         late=_LAST.get(late, late) if state.waits_for else "",

@@ -18,13 +18,13 @@ from rig_configs.schema import Rig
 _POINT_LIMIT_S = 90.0
 _EXTENSION_S = 60.0  # beyond that limit, while the remaining change is bounded and predicted to end within this time
 _DOUBT_S = 5.0  # the extension outlasts looks that contradict it, such as after a correction of a device's clock
-_MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, rig s
+_MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
 _SECOND_LIMITS = SettlingLimits()
 _BEFORE_RELEASE_S = 4.0
-_AFTER_RELEASE_S = 3.0  # after the release before the first look, rig s
-_AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, rig s
+_AFTER_RELEASE_S = 3.0  # after the release before the first look, s
+_AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, s
 
 
 def point_states(

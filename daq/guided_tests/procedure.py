@@ -18,7 +18,7 @@ from daq.guided_tests.test_inputs import requested_test
 from rig_basics.units import TO_RPM
 from rig_configs.schema import Rig
 
-_ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
+_ZEROED_S = 0.2  # wait before and after the counters are zeroed, s
 
 
 class Procedures:
@@ -127,6 +127,6 @@ def zero_counters(session: Session) -> None:
         return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == LOCKS_CLOSED
 
     session.wait_for(closed, MAX_LOCK_S, "both locks to close")
-    session.clock.sleep(_ZEROED_S)
+    session.clock.wait(_ZEROED_S)
     session.rotor.command_locks("zero")
-    session.clock.sleep(_ZEROED_S)
+    session.clock.wait(_ZEROED_S)

@@ -12,7 +12,7 @@ from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_war
 
 _MIN_SPEED_SHARE = 0.03  # of the top speed; below it a run-down has too few index marks and ends
 _TOP_SHARE = 0.015  # deviation from the top speed that counts as reached
-_AT_TOP_S, _MAX_AT_TOP_S = 1.0, 10.0  # rig s; the longer time lets an overshoot of the drive's control decay
+_AT_TOP_S, _MAX_AT_TOP_S = 1.0, 10.0  # s; the longer time lets an overshoot of the drive's control decay
 _RAMP_S = 40.0
 _THROUGH = "the rotor passes through resonances"
 

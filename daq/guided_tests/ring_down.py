@@ -12,11 +12,11 @@ from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView, no_commands
 
-_MAX_ANSWER_S = 5.0  # wait for valid samples of a device, wall s
-_MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, rig s
-_MAX_PLUCK_AGE_S = 10.0  # stretch in which a pluck is searched, rig s; the wait may last minutes, the data stay few
+_MAX_ANSWER_S = 5.0  # wait for valid samples of a device, s
+_MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, s
+_MAX_PLUCK_AGE_S = 10.0  # stretch in which a pluck is searched, s; the wait may last minutes, the data stay few
 _BEFORE_S, _AFTER_PLUCK_S, _WINDOW_S = 0.7, 0.8, 0.6
-_MAX_RING_DOWN_S = 60.0  # rig s
+_MAX_RING_DOWN_S = 60.0  # s
 _PLUCKED_M = 3e-4  # displacement that vibration of the building does not reach
 _STILL_M = 4e-5  # peak to peak of a column at rest
 _MIN_SWING_RATIO = 0.3  # swing to the other side, relative to the largest displacement, of a released column
@@ -32,7 +32,7 @@ class _RingDown:
     Attributes:
         axis: "x" or "y".
         topic: channel of the displacement along the axis.
-        before_s: length of the pre-trigger, rig s; 0 if the log begins with the wait for the pluck.
+        before_s: length of the pre-trigger, s; 0 if the log begins with the wait for the pluck.
     """
 
     axis: str
@@ -129,7 +129,6 @@ class _RingDown:
                 period_s=0.1,
                 usual_s=1.0,
                 limit_s=_MAX_ANSWER_S,
-                wall=True,
                 late=FAULT,
                 missed=lambda view: f"waited {_MAX_ANSWER_S:g} s for half a second of valid samples of {self.topic}",
             ),
@@ -150,7 +149,6 @@ class _RingDown:
                 period_s=0.02,
                 usual_s=10.0,
                 limit_s=HUMAN_S,
-                wall=True,
                 missed=lambda view: f"a pluck along {self.axis} within {HUMAN_S:g} s",
             ),
             State(

@@ -20,7 +20,7 @@ from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOut
 
 _log = logging.getLogger(__name__)
 
-_PAUSE_LOOK_S = 0.1  # period of the looks while a test is paused, rig s
+_PAUSE_LOOK_S = 0.1  # period of the looks while a test is paused, s
 
 
 @dataclass(frozen=True)
@@ -128,9 +128,8 @@ class Runner:
             self._take_requests(state)
             entry_began_ns = self._clock.now_ns()
             state.enter(commands)
-            limit_s = self._clock.patience(state.limit_s) if state.wall else state.limit_s
             entered_ns = self._clock.now_ns()
-            end_ns = entered_ns + int(limit_s * 1e9)
+            end_ns = entered_ns + int(state.limit_s * 1e9)
             while True:
                 commands.check()
                 end_ns += self._take_requests(state)
@@ -142,7 +141,7 @@ class Runner:
                     return StateOutcome.DONE
                 if self._clock.now_ns() > end_ns + int(look.near * state.extension_s * 1e9):
                     return self._late(state, self._view(entry_began_ns, entered_ns))
-                self._clock.sleep(state.period_s)
+                self._clock.wait(state.period_s)
         except _Aborted:  # usual: a request of the operator
             return StateOutcome.ABORT
 
@@ -195,7 +194,7 @@ class Runner:
                 break
             self._show(state, StateObservation(False, f"paused before: {state.does or state.waits_for}"), paused=True)
             self._commands.check()
-            self._clock.sleep(_PAUSE_LOOK_S)
+            self._clock.wait(_PAUSE_LOOK_S)
         return self._clock.now_ns() - begun
 
     def _take(self, state: State, request: Request) -> None:

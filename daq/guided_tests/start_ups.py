@@ -22,10 +22,10 @@ from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
 from rig_configs.schema import Rig
 
-_MIN_SLIPPING_S = 30.0  # slipping for this time after the release counts as permanent, rig s
+_MIN_SLIPPING_S = 30.0  # slipping for this time after the release counts as permanent, s
 _CLASSES = {"I": "balanced"}
-_BEFORE_S = 1.0  # pendulums at their locks at the start of the log, rig s
-_SCATTERED_S = 2.0  # wait after the pendulums were scattered, rig s
+_BEFORE_S = 1.0  # pendulums at their locks at the start of the log, s
+_SCATTERED_S = 2.0  # wait after the pendulums were scattered, s
 
 
 def _slips(view: StateView, last: Settling) -> bool:

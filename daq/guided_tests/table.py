@@ -63,7 +63,7 @@ class StateView:
 
     @property
     def in_state_s(self) -> float:
-        """Time since the state was entered, rig s."""
+        """Time since the state was entered, s."""
         return (self.now_ns - self.entered_ns) * 1e-9
 
 
@@ -94,7 +94,7 @@ def at_once(view: StateView) -> StateObservation:
 
 
 def after(seconds: float, words: str = "") -> Callable[[StateView], StateObservation]:
-    """Return a look that waits for a time, rig s."""
+    """Return a look that waits for a time, s."""
     return lambda view: StateObservation(view.in_state_s >= seconds, words, min(1.0, view.in_state_s / seconds))
 
 
@@ -117,11 +117,10 @@ class State:
         enter: carries out the commands on entry.
         waits_for: description of the condition; empty for states that are over with their commands.
         look: evaluates the condition.
-        period_s: period of the looks, rig s.
-        limit_s: time limit, in rig s, or in wall s if the state waits for a person or a mechanism.
-        extension_s: longest extension of the time limit, rig s; it lasts while the looks report `near`.
-        wall: whether `limit_s` is wall time.
-        usual_s: usual duration for the plan, rig s.
+        period_s: period of the looks, s.
+        limit_s: time limit, s.
+        extension_s: longest extension of the time limit, s; it lasts while the looks report `near`.
+        usual_s: usual duration for the plan, s.
         actor: who acts. "rotor" and "locks" stand for a device, or for the operator if the rig has no such device.
         asks: request to the operator if the operator acts.
         rpm: rotor speed at the end of the state, rpm.
@@ -140,7 +139,6 @@ class State:
     period_s: float = 0.5
     limit_s: float = 0.0
     extension_s: float = 0.0
-    wall: bool = False
     usual_s: float = 0.0
     actor: Actor = "program"
     asks: str = ""

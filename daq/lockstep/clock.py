@@ -23,7 +23,7 @@ class WaitNeverEnds(RuntimeError):
 
 
 class SimulatedClock(HostClock):
-    """The simulated clock; see the module. Rig time equals wall time.
+    """The simulated clock; see the module.
 
     Args:
         start_ns: initial time, ns since 1970.
@@ -100,15 +100,15 @@ class SimulatedClock(HostClock):
 
     # --- waiting -----------------------------------------------------------------------------------------------
 
-    def wait(self, wall_seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         """See HostClock."""
-        self.pass_until(self._now_ns + max(round(wall_seconds * 1e9), _MIN_WAIT_NS))
+        self.pass_until(self._now_ns + max(round(seconds * 1e9), _MIN_WAIT_NS))
 
     def every(
-        self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
+        self, seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
     ) -> Repeated:
         """See HostClock."""
-        return _Repeating(self, wall_seconds, do, failed)
+        return _Repeating(self, seconds, do, failed)
 
     def queue(self) -> queue.Queue[Any]:
         """See HostClock."""
@@ -136,7 +136,7 @@ class _Repeating:
             return
         self._clock.after(self._period_s, self._turn)
 
-    def stop(self, wall_seconds: float | None = 2.0) -> None:
+    def stop(self, seconds: float | None = 2.0) -> None:
         """See Repeated."""
         self._ended = True
 

@@ -21,8 +21,8 @@ from rig_configs.schema import Rig
 STEP_S = (0.016, 0.032)
 """Range of the random time for which an adapter collects bytes before it passes them to the host, s.
 
-Common USB adapters deliver every 16 ms; a busy host takes every second delivery. With a constant period the adapter and the device clocks would
-beat: the delay of the bytes would grow slowly, which looks like a wrong clock rate.
+Common USB adapters deliver every 16 ms; a busy host takes every second delivery. With a constant period the adapter and
+the device clocks would beat: the delay of the bytes would grow slowly, which looks like a wrong clock rate.
 """
 _LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device
 
@@ -63,7 +63,7 @@ class LockstepRig:
     def __init__(self, rig: Rig) -> None:
         self.clock: SimulatedClock = SimulatedClock()
         self.disk: SimulatedDisk = SimulatedDisk()
-        self.far: SimulatedRig = SimulatedRig(rig, self.clock.patience)
+        self.far: SimulatedRig = SimulatedRig(rig)
         assert rig.virtual is not None, "SimulatedRig refuses rigs without [virtual]"
         seed = rig.virtual.seed
         self.cables: dict[str, Cable] = {

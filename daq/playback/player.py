@@ -39,7 +39,7 @@ class PlaybackState:
 
     Attributes:
         log_ns: log time of the last delivered bytes, ns since 1970; 0 before any were delivered.
-        late_s, most_late_s: delay of the last bytes, and largest delay so far, wall s.
+        late_s, most_late_s: delay of the last bytes, and largest delay so far, s.
         delivered, undelivered: bytes by device; undelivered are those whose reader had gone.
         withheld: bytes by device while its host had not started its transmission, or had stopped it.
         unfollowed: number of commands by device that the recorded bytes cannot follow.
@@ -91,7 +91,7 @@ class Playback:
     Args:
         outlets: outlets by device; bytes of other devices are not played.
         devices: simulated device behind each outlet, see `played_devices`.
-        speed: seconds of the log per wall second; `math.inf` is limited by the readers only.
+        speed: seconds of the log per second; `math.inf` is limited by the readers only.
         clock: clock of the pace; None for the host's clock.
     """
 
@@ -226,7 +226,7 @@ class Playback:
         return self.state
 
     def hold(self, linger_s: float | None = None) -> None:
-        """Keep the ports open until their readers close them, or for at most `linger_s` wall seconds.
+        """Keep the ports open until their readers close them, or for at most `linger_s` seconds.
 
         Data that a reader has not fetched yet would be lost if its port were closed.
         """
@@ -272,7 +272,7 @@ class Playback:
         if readable:
             select.select(readable, [descriptor for descriptor in full if descriptor is not None], [], wait_s)
         else:
-            self._clock.sleep(wait_s)
+            self._clock.wait(wait_s)
 
     def _send(self, line: _Line) -> None:
         """Send as many waiting bytes as there is room for."""

@@ -28,14 +28,13 @@ from daq.replay.arrivals import Arrival, Arrivals, with_all_fields
 from daq.replay.checking import Progress, share_of
 from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
 from daq.replay.holes import Holes
-from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
+from daq.replay.session_facts import closing_ns, needed_at_rest, roles_in, stops_of
 from daq.replay.stream import pipelines_with
-from daq.transports.host_clock import HostClock
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits, Rig
 
 _AGAIN_S = 1.0  # the same finding after a longer pause is another trip
-_DISORDER_S = 0.2  # largest displacement of two devices' reads in the wrong order, wall s
+_DISORDER_S = 0.2  # largest displacement of two devices' reads in the wrong order, s
 _IGNORED_EVENTS = ("reply", "acknowledge")  # answers to the host
 
 
@@ -122,14 +121,12 @@ class _Run:
     def __init__(self, log: Log, rig: Rig, roles: Roles, all_trips: bool) -> None:
         self._rig, self._roles, self._all = rig, roles, all_trips
         self._facts = log.metadata.get("run", {})
-        patience = HostClock(clock_rate(self._facts)).patience
-        self._patience = patience
-        self._period_ns, self._together_ns = _ns(LOOK_S * clock_rate(self._facts)), _ns(patience(TOGETHER_S))
+        self._period_ns, self._together_ns = _ns(LOOK_S), _ns(TOGETHER_S)
         self._holes = Holes.of(log.missing)
         self._left = list(self._holes.between)  # those after the present time
         pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
-        self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
-        self._closing_ns = closing_ns(log, patience)
+        self.arrivals = Arrivals(log, pipelines, roles.device_of, _DISORDER_S)
+        self._closing_ns = closing_ns(log)
         self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session certainly evaluated then
         self._at_closing = 0
         self.trips: list[WouldTrip] = []
@@ -139,7 +136,7 @@ class _Run:
 
     def _begin(self, now_ns: int, *, whole: bool) -> None:
         """Start as a session does with each log: all data are due from now on."""
-        self._locks = Interlocks(self._rig.limits, self._roles, self._patience, LeastMotion.of(self._rig), driving=True)
+        self._locks = Interlocks(self._rig.limits, self._roles, LeastMotion.of(self._rig), driving=True)
         self._locks.begin(now_ns)
         self._locks.need(needed_at_rest(self._facts.get("test", ""), self._roles))
         standing = standing_speed(self._facts)

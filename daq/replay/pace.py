@@ -19,7 +19,7 @@ class Clock(Protocol):
         """Return the present time, ns."""
         ...
 
-    def sleep(self, seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         """Wait for this time, s."""
         ...
 
@@ -81,7 +81,7 @@ class Paced(Iterator[Decoded]):
         item = next(self._items)
         host_ns = item[1].host_ns
         if (left := self.pace.left_s(host_ns)) > 0:
-            self._clock.sleep(left)
+            self._clock.wait(left)
         self.pace.note(host_ns)
         return item
 

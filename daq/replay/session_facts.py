@@ -1,11 +1,10 @@
-"""Facts of the recording session that its interlocks depended on: roles, channels needed by the test, clock rate,
-stops, and the time at which it closed its devices."""
+"""Facts of the recording session that its interlocks depended on: roles, channels needed by the test, stops, and the
+time at which it closed its devices."""
 
 from __future__ import annotations
 
 import json
-import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +15,7 @@ from daq.log import Log
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
-_log = logging.getLogger(__name__)
-
-_CLOSING_S = 5.0  # time in which a session closes its devices while the log is still open, wall s
+_CLOSING_S = 5.0  # time in which a session closes its devices while the log is still open, s
 # Reasons for the end of a log that ended before its session.
 _ENDS = ("the test's end", "done", "duration", "silence", "not reached")
 
@@ -59,7 +56,7 @@ def needed_at_rest(test: str, roles: Roles) -> list[str]:
     return [] if kind is None else list(kind.required_at_rest(roles))
 
 
-def closing_ns(log: Log, patience: Callable[[float], float]) -> int:
+def closing_ns(log: Log) -> int:
     """Return the host time from which a session may have been closing its devices; after the log's end if the log
     ended first, which is the usual case.
 
@@ -69,7 +66,7 @@ def closing_ns(log: Log, patience: Callable[[float], float]) -> int:
     if not ended or _text(ended).startswith(_ENDS):
         return log.end_ns + 1
     stops = [note["time_ns"] for note in stops_of(log)]
-    return min(stops) + _ns(patience(TOGETHER_S)) if stops else log.end_ns - _ns(patience(_CLOSING_S))
+    return min(stops) + _ns(TOGETHER_S) if stops else log.end_ns - _ns(_CLOSING_S)
 
 
 def _text(value: str) -> str:
@@ -78,16 +75,6 @@ def _text(value: str) -> str:
         return str(json.loads(value))
     except (ValueError, RecursionError):  # usual: plain text
         return value
-
-
-def clock_rate(run: Mapping[str, str]) -> float:
-    """Return the seconds of rig time per wall second stated in the log; 1 if it is missing or invalid."""
-    try:
-        rate = float(run.get("clock_rate", 1.0))
-    except ValueError as error:
-        _log.info("the clock rate in the log is invalid, 1 is used: %s", error)
-        return 1.0
-    return rate if 0.01 <= rate <= 100 else 1.0
 
 
 def _ns(seconds: float) -> int:

@@ -35,7 +35,7 @@ _RESERVED_PORTS = 1024  # numbers below it need a permission
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
 _PROBE_S, _PROBES = 3, 100  # period of the probes of a silent connection, s; unanswered ones until it is lost
-_REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
+_REJECT_WAIT_S = 0.05  # s within which a far end that serves another program closes a new connection
 
 
 class Link(Protocol):
@@ -47,7 +47,7 @@ class Link(Protocol):
         """Return the bytes that have arrived; b"" if none arrived within `timeout_s`.
 
         Args:
-            timeout_s: maximum wait, wall s.
+            timeout_s: maximum wait, s.
 
         Raises:
             LinkLost: the connection to the device is lost.

@@ -22,8 +22,6 @@ from daq.transports.slcan import AdapterText
 from rig_basics.ignoring import ignoring
 
 if sys.platform != "win32":
-    import fcntl
-    import termios
     import tty
 
 _log = logging.getLogger(__name__)
@@ -32,8 +30,7 @@ KINDS = ("pty", "tcp")
 """Kinds of wire. Windows has no ptys."""
 
 _BUFFER_BYTES = 4 * 1024 * 1024  # size of the send queue; larger than an adapter's, because a host may stall …
-_MAX_AGE_S = 1.5  # … for this long, wall s: older bytes are dropped
-_HOLD_UP_LIMIT_S = 0.5  # wall s without an empty queue after which simulated time does not wait for the host
+_MAX_AGE_S = 1.5  # … for this long, s: older bytes are dropped
 
 
 class Wire(Protocol):
@@ -72,10 +69,6 @@ class Wire(Protocol):
         """
         ...
 
-    def held_up(self) -> bool:
-        """Whether bytes wait for a host that had fetched all bytes within the last `_HOLD_UP_LIMIT_S`."""
-        ...
-
     def connected(self) -> bool:
         """Whether a host has the port open."""
         ...
@@ -103,19 +96,6 @@ class _Outbox:
         self.overrun_bytes: int = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
-        self._fetched_s = 0.0  # monotonic time at which no bytes waited
-
-    def _in_cable(self) -> int:
-        """Number of bytes in the cable; 0 if the kind of wire does not provide it."""
-        return 0
-
-    def held_up(self) -> bool:
-        """See Wire."""
-        now = time.monotonic()
-        waiting = bool(self._parts) or self._in_cable() > 0
-        if not waiting:
-            self._fetched_s = now
-        return waiting and now - self._fetched_s < _HOLD_UP_LIMIT_S
 
     def _queue(self, data: bytes) -> None:
         now = time.monotonic()
@@ -158,11 +138,6 @@ class PtyWire(_Outbox):
         if notice_host:  # an own descriptor of the host's end would hide that no host has it open
             os.close(self._slave)
             self._slave = -1
-
-    def _in_cable(self) -> int:
-        if self._master < 0 or self._slave < 0:
-            return 0
-        return int.from_bytes(fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def descriptor(self) -> int | None:
         """See Wire."""

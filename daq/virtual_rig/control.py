@@ -98,7 +98,7 @@ class ControlServer:
         """Stop listening and close the connections.
 
         Args:
-            patience_s: longest wait until pending answers have been sent, wall s.
+            patience_s: longest wait until pending answers have been sent, s.
         """
         self._listener.close()
         with self._fetched:

@@ -66,7 +66,7 @@ class FaultInjector:
 
         Args:
             request: "device" and "what"; "value" (default: that of the kind); "end": true ends the fault; "seconds":
-                duration of the fault, rig s.
+                duration of the fault, s.
             now_s: rig time, s.
 
         Raises:
@@ -131,7 +131,7 @@ class FaultInjector:
         return data if alive else b""
 
     def arrives(self, device: str, data: bytes, seconds: float) -> bytes:
-        """Return the bytes that reach the host, of the bytes that a device sent in a number of rig seconds."""
+        """Return the bytes that reach the host, of the bytes that a device sent in a number of seconds."""
         if self._standing:
             if self._lasts(device, "mute") or not self._far_ends[device].line_alive:
                 return b""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from daq.drivers.devices import devices_of
@@ -28,7 +28,6 @@ class SimulatedRig:
 
     Args:
         rig: a rig file with a [virtual] table.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
         motion: motion of rotor, column and pendulums.
@@ -38,7 +37,7 @@ class SimulatedRig:
         RigConfigError: the rig file has no [virtual] table.
     """
 
-    def __init__(self, rig: Rig, patience: Callable[[float], float] = float) -> None:
+    def __init__(self, rig: Rig) -> None:
         if rig.virtual is None:
             raise RigConfigError(
                 f"the rig file of {rig.name} has no [virtual] table, which the simulation needs: give a shipped "
@@ -47,7 +46,7 @@ class SimulatedRig:
         self._rig = rig
         drive = rig.virtual.drive
         self.motion: SimulatedMotion = SimulatedMotion(rig.true_physics, drive.slip, drive.lag_s)
-        world = self._world = World(rig.virtual, self.motion, patience)
+        world = self._world = World(rig.virtual, self.motion)
         self.far_ends: dict[str, FarEnd] = {
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()
         }

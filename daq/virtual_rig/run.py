@@ -16,16 +16,14 @@ from typing import Any
 
 from daq.drivers.devices import devices_of
 from daq.transports.host_clock import HostClock
-from daq.transports.paced_clock import PacedClock
 from daq.transports.wires import Wire, make_wire
 from daq.virtual_rig.control import ControlServer
 from daq.virtual_rig.rig import SimulatedRig
 from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
-_TICK_S = 0.002  # period of the steps, wall s
-_HELD_TICK_S = 0.0005  # period of the steps while the clock is held, wall s
-_MAX_LAST_ANSWER_S = 0.2  # wait until the last answer has been sent, wall s
+_TICK_S = 0.002  # period of the steps, s
+_MAX_LAST_ANSWER_S = 0.2  # wait until the last answer has been sent, s
 
 
 class VirtualRig:
@@ -33,10 +31,7 @@ class VirtualRig:
 
     Args:
         rig: a rig file with a [virtual] table.
-        time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
-        pace: file of a clock that the host shares and that is held while rig or host are late. None: the clock is
-            never held.
 
     Attributes:
         rig: the simulated rig.
@@ -46,11 +41,11 @@ class VirtualRig:
         moved: called when a device has a new port.
     """
 
-    def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto", pace: Path | None = None) -> None:
+    def __init__(self, rig: Rig, link: str = "auto") -> None:
         self._name, self._link = rig.name, link
-        self._clock = PacedClock(time_scale, pace) if pace is not None else HostClock(time_scale)
+        self._clock = HostClock()
         self._t0_ns = self._clock.now_ns()
-        self.rig: SimulatedRig = SimulatedRig(rig, self._clock.patience)
+        self.rig: SimulatedRig = SimulatedRig(rig)
         self.rig.motion.advance(0.001)  # compile before the first connection
         self._lines = {name: device.line for name, device in devices_of(rig.devices).items()}
         self.wires: dict[str, Wire] = {name: self._wire(name) for name in self.rig.far_ends}
@@ -70,7 +65,7 @@ class VirtualRig:
 
     def running(self) -> Running:
         """Return the data that a simulated operator needs to connect."""
-        return Running(self._name, os.getpid(), self.control.port, self.token, self._clock.rate, self.ports())
+        return Running(self._name, os.getpid(), self.control.port, self.token, self.ports())
 
     def ports(self) -> dict[str, str]:
         """Return the port of each device, by its name in the rig file."""
@@ -87,18 +82,8 @@ class VirtualRig:
         due = time.monotonic()
         while self._running:
             self.step()
-            due = max(due + (_TICK_S if self._passes() else _HELD_TICK_S), time.monotonic())
+            due = max(due + _TICK_S, time.monotonic())
             self._wait(due)
-
-    def _passes(self) -> bool:
-        """Return whether the clock runs. A paced clock is held until the host has read the bytes in the cables."""
-        if not isinstance(self._clock, PacedClock):
-            return True
-        return self._clock.go_on(self._held_up)
-
-    def _held_up(self) -> bool:
-        held_up = [wire.held_up() for wire in self.wires.values()]  # a list, since every wire must be checked
-        return any(held_up)
 
     def close(self) -> None:
         """Close every wire and the control port. The answer to the last request is still sent."""

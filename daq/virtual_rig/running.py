@@ -55,7 +55,6 @@ class Running:
         rig: name of the rig file.
         pid: process id.
         control_port, token: TCP port and token of the control port.
-        time_scale: seconds of rig time per wall second.
         ports: ports of the devices, by their names in the rig file.
     """
 
@@ -63,7 +62,6 @@ class Running:
     pid: int
     control_port: int
     token: str
-    time_scale: float
     ports: Mapping[str, str]
 
 
@@ -125,7 +123,6 @@ def read_note(path: Path) -> Running:
             int(found["pid"]),
             int(found["control_port"]),
             str(found["token"]),
-            float(found["time_scale"]),
             {str(name): str(port) for name, port in found["ports"].items()},
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:

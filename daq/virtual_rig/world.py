@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -42,18 +41,16 @@ class World:
     Args:
         virtual: [virtual] table of the rig file.
         motion: motion of the rig.
-        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
-        virtual, motion, patience: see the arguments.
+        virtual, motion: see the arguments.
         calibration: random numbers of the calibration errors, drawn in the order of the devices in the rig file.
         spread: 1 if calibration errors are drawn, 0 if the sensors are exact.
     """
 
-    def __init__(self, virtual: Virtual, motion: SimulatedMotion, patience: Callable[[float], float] = float) -> None:
+    def __init__(self, virtual: Virtual, motion: SimulatedMotion) -> None:
         self.virtual: Virtual = virtual
         self.motion: SimulatedMotion = motion
-        self.patience: Callable[[float], float] = patience
         self.calibration: np.random.Generator = self.rng("calibration")
         self.spread: float = 1.0 if virtual.sensors.draw_calibration else 0.0
 

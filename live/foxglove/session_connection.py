@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
@@ -29,7 +28,6 @@ class FoxgloveConnection(FedProcess):
 
     Args:
         rig: rig of the session.
-        rate: seconds of the rig per second of wall time.
         port, origins: as for FoxgloveServer.
         refused: called with the origin of a page that was refused; see Refusals.
 
@@ -39,12 +37,10 @@ class FoxgloveConnection(FedProcess):
         LiveError: on entering, if the connection cannot be offered.
     """
 
-    def __init__(
-        self, rig: Rig, rate: float, port: int, origins: Collection[str], refused: Callable[[str], None]
-    ) -> None:
+    def __init__(self, rig: Rig, port: int, origins: Collection[str], refused: Callable[[str], None]) -> None:
         super().__init__("foxglove", "connection for Foxglove", run_foxglove, (rig, port, tuple(origins)))
         self.left_out: int = 0
-        self._refused, self._hold_ns = refused, int(HOLD_S * 1e9 * (rate if math.isfinite(rate) else 1.0))
+        self._refused, self._hold_ns = refused, int(HOLD_S * 1e9)
         self._notes: deque[NoteRow] = deque(maxlen=_MAX_NOTES)
         self._newest = Newest({topic: channel.names for topic, channel in channels_of(rig.devices).items()})
 

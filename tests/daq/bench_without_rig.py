@@ -30,11 +30,8 @@ class Clock:
     def now_ns(self) -> int:
         return self.ns
 
-    def sleep(self, seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         self.ns += int(seconds * 1e9)
-
-    def patience(self, wall_s: float) -> float:
-        return wall_s
 
 
 class NoRates:
@@ -96,7 +93,7 @@ class Bench:
             self.check()
             if self.clock.ns > end:
                 raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
-            self.clock.sleep(1.0)
+            self.clock.wait(1.0)
 
     def fail(self, error: Exception) -> None:
         self.trouble = self.trouble or error

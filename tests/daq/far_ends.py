@@ -26,7 +26,7 @@ class Bench:
         events: what belongs into a log.
     """
 
-    def __init__(self, *settings: str, patience: float = 1.0) -> None:
+    def __init__(self, *settings: str) -> None:
         self.rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
         self.far = SimulatedRig(self.rig)
         drive, node = self.far.far_ends["drive"], self.far.far_ends["encoder"]
@@ -34,9 +34,7 @@ class Bench:
         assert isinstance(node, SimulatedNode)
         self.drive, self.node = drive, node
         self.pipelines = make_pipelines(self.rig.devices, {})
-        self.interlocks = Interlocks(
-            self.rig.limits, self.rig.roles, lambda s: s * patience, LeastMotion.of(self.rig), driving=True
-        )
+        self.interlocks = Interlocks(self.rig.limits, self.rig.roles, LeastMotion.of(self.rig), driving=True)
         self.now_s = self.far.motion.time_s
         self.stops: list[tuple[float, Stop]] = []
         self.events: list[DeviceEvent] = []

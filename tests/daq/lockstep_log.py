@@ -17,6 +17,6 @@ def recorded_at_rest(file: Path, log: Path, settings: Sequence[str] = (), second
     session = Session(load_rig(file, settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
     with session:
         session.start_recording(log, {"test": "record"})
-        sim.clock.sleep(seconds)
+        sim.clock.wait(seconds)
         session.stop_recording({})
     return session.rig

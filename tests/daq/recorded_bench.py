@@ -38,7 +38,7 @@ class RecordedBench(Bench):
         rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
         self._decoders = make_pipelines(rig.devices, {})
         attachments = {"rig.json": rig.snapshot_json(), "roles.json": rig.roles_json()}
-        known = {"test": test, "rig": rig.name, "clock_rate": "1.0", **(facts or {})}
+        known = {"test": test, "rig": rig.name, **(facts or {})}
         self.log = LogFile(path, known, attachments, tuple(rig.devices) if raw else (), START_NS)
         super().__init__(*settings)
 

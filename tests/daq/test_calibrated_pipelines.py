@@ -31,9 +31,9 @@ def record(rig: str, folder: Path, sensor: str, *settings: str, host: tuple[str,
     path = folder / "held.mcap"
     with Session(loaded, far.clock, edge=far.edge) as session:
         far.ask("place", device=sensor, mm=2.0)
-        session.clock.sleep(0.2)
+        session.clock.wait(0.2)
         session.start_recording(path, {"test": "record"})
-        session.clock.sleep(0.5)
+        session.clock.wait(0.5)
         settings_of = loaded.devices[sensor]
         assert isinstance(settings_of, DisplacementSettings)
         _, columns = session.channels.newest(settings_of.topic, ("displacement_m",), 0.3)

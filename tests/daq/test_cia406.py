@@ -890,7 +890,7 @@ def test_a_session_samples_both_angles_and_its_log_is_decoded_again_to_the_same(
     log = tmp_path / "a.mcap"
     with session:
         session.start_recording(log, {"test": "record"})
-        sim.clock.sleep(4.0)
+        sim.clock.wait(4.0)
         session.stop_recording({})
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:

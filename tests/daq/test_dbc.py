@@ -407,7 +407,7 @@ def test_a_log_is_decoded_again_with_its_own_file(tmp_path: Path) -> None:
     session = Session(load_rig(file, settings=["virtual.seed=4", *sim.port_settings()]), sim.clock, edge=sim.edge)
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.sleep(1.5)
+        sim.clock.wait(1.5)
         session.stop_recording({})
         losses = session.recording.losses()["lasers"]
     (tmp_path / "lasers.dbc").write_text(DBC.replace("(0.0001,0)", "(0.5,0)"))

@@ -23,9 +23,9 @@ import sys
 from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
 
-with VirtualRigProcess("virtual", [], 8.0) as far:
+with VirtualRigProcess("virtual", []) as far:
     ports = [word for setting in far.port_settings() for word in ("--set", setting)]
-    words = ["test", "virtual", "slow-roll", "--number", "turns=5", "--time-scale", "8", "--out", "logs", "--json"]
+    words = ["test", "virtual", "slow-roll", "--number", "turns=5", "--out", "logs", "--json"]
     sys.exit(run([*words, *ports]))
 """
 

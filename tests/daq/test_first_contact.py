@@ -41,7 +41,7 @@ def test_the_first_session_with_a_rig_that_was_just_powered_is_as_the_second(rig
         with session:
             session.drive.enable()
             session.drive.set_speed(60.0)
-            sim.clock.sleep(3.0)
+            sim.clock.wait(3.0)
             assert session.rotor.rpm() == pytest.approx(60.0, abs=3.0)
             assert len(session.channels.recent.last("motor", (), 0)[0]) > 100
             assert len(session.channels.recent.last("pendulums", (), 0)[0]) > 500

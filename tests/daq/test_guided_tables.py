@@ -186,7 +186,7 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
     controls, bench = Controls(), Bench(RIG)
     seen: list[str] = []
     looks: list[int] = []
-    bench_sleep = bench.clock.sleep
+    bench_sleep = bench.clock.wait
 
     def sleep(seconds: float) -> None:
         bench_sleep(seconds)
@@ -195,7 +195,7 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
             bench_sleep(3600.0)
             controls.resume() if len(seen) == 3 else None
 
-    bench.clock.sleep = sleep
+    bench.clock.wait = sleep
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name != "pluck":
@@ -219,7 +219,7 @@ def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
             controls.pause()
         return StateObservation(state.name != "steady orbit")
 
-    sleep, slept = bench.clock.sleep, list[float]()
+    sleep, slept = bench.clock.wait, list[float]()
 
     def slept_through(seconds: float) -> None:
         sleep(seconds)
@@ -228,7 +228,7 @@ def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
         if controls.status.paused:
             bench.fault = DeviceError("laser/x: silent")
 
-    bench.clock.sleep = slept_through
+    bench.clock.wait = slept_through
 
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert str(done) == "laser/x: silent"
@@ -239,7 +239,7 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
     controls, bench = Controls(), Bench(RIG)
     answers: list[str] = []
     paused: list[str] = []
-    sleep = bench.clock.sleep
+    sleep = bench.clock.wait
 
     def slept(seconds: float) -> None:
         sleep(seconds)
@@ -248,7 +248,7 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
             paused.append(controls.status.state)
             controls.resume()
 
-    bench.clock.sleep = slept
+    bench.clock.wait = slept
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name == "spin up" and not answers:

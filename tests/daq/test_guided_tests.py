@@ -15,6 +15,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures, zero_counters
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
 from daq.signals.completeness import missing_warnings
@@ -23,10 +24,9 @@ from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, FrameDecoder
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.main import run
-from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import LATE_BEATS, TIME_SCALE
+from tests.conftest import join
 
 
 def quiet(text: str, share: float | None) -> None:
@@ -34,14 +34,14 @@ def quiet(text: str, share: float | None) -> None:
 
 
 def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_locks(
-    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
-        tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet)
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        tests = Procedures(session, SimulatedOperator(simulated), tmp_path, quiet)
         session.rotor.command_locks("release both")
-        session.clock.sleep(0.5)
-        virtual_rig.line.ask("flick", pendulum=0, speed_rad_s=9.0)
-        session.clock.sleep(3.0)
+        session.clock.wait(0.5)
+        simulated.ask("flick", pendulum=0, speed_rad_s=9.0)
+        session.clock.wait(3.0)
         session.rotor.command_locks("zero")  # A is anywhere now
         for test in (lambda: tests.run_up(900.0, 10.0), tests.spin_down, lambda: tests.point("A", 15.0)):
             with pytest.raises(
@@ -55,10 +55,10 @@ def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_lock
 
 
 def test_a_speed_beyond_the_limit_is_refused_before_the_drive_is_enabled(
-    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
-        tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path / "out", quiet)
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        tests = Procedures(session, SimulatedOperator(simulated), tmp_path / "out", quiet)
         for test in (
             lambda: tests.run_up(5000.0, 40.0),
             lambda: tests.run_down(5000.0, 40.0),
@@ -67,7 +67,7 @@ def test_a_speed_beyond_the_limit_is_refused_before_the_drive_is_enabled(
         ):
             with pytest.raises(ProcedureError, match="nothing was turned"):
                 test()
-        assert virtual_rig.line.ask("state")["drive"] == cia402.SWITCH_ON_DISABLED
+        assert simulated.ask("state")["drive"] == cia402.SWITCH_ON_DISABLED
         assert not (tmp_path / "out").exists()
 
 
@@ -75,28 +75,18 @@ def test_an_end_that_is_not_reached_is_reported_kept_and_exits_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slips = ["virtual.drive.slip=0.05"]  # never at 98.5 % of the top
-    with VirtualRigProcess("virtual", slips, TIME_SCALE, waits=True) as rig:
-        monkeypatch.setattr("rig_cli.guided_test.HostClock", lambda rate: rig.clock)
-        ports = [word for setting in [*rig.port_settings(), LATE_BEATS] for word in ("--set", setting)]
-        common = [
-            "test",
-            "virtual",
-            "run-up",
-            "--out",
-            str(tmp_path),
-            "--duration",
-            "5",
-            "--time-scale",
-            f"{TIME_SCALE}",
-        ]
-        code = run([*common, "--json", *ports])
-        result = json.loads(capsys.readouterr().out)
-        assert code == 1
-        assert result["reached"] is False
-        assert result["ended"].startswith("not reached: the top speed: 85")
-        code = run([*common, *ports])
-        assert code == 1
-        assert "run-up did not reach its end: the top speed" in capsys.readouterr().err
+    rig = LockstepRig(load_rig("virtual", settings=slips))
+    join(monkeypatch, "rig_cli.guided_test", rig)
+    ports = [word for setting in rig.port_settings() for word in ("--set", setting)]
+    common = ["test", "virtual", "run-up", "--out", str(tmp_path), "--duration", "5"]
+    code = run([*common, "--json", *ports])
+    result = json.loads(capsys.readouterr().out)
+    assert code == 1
+    assert result["reached"] is False
+    assert result["ended"].startswith("not reached: the top speed: 85")
+    code = run([*common, *ports])
+    assert code == 1
+    assert "run-up did not reach its end: the top speed" in capsys.readouterr().err
     log = tmp_path / "01-run-up.mcap"
     with open_log(log) as opened:
         assert not_reached_of(opened).startswith("the top speed: 85")
@@ -106,12 +96,13 @@ def test_an_end_that_is_not_reached_is_reported_kept_and_exits_1(
 
 
 def test_check_exits_3_if_the_drive_has_not_confirmed_its_release(
-    virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    simulated: LockstepRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    join(monkeypatch, "rig_cli.acquire", simulated)
     rest = RotorCommand.bring_to_rest
     monkeypatch.setattr(RotorCommand, "bring_to_rest", lambda *given: rest(*given) and False)
-    ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
-    assert run(["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports, "--json"]) == 3
+    ports = [word for setting in simulated.port_settings() for word in ("--set", setting)]
+    assert run(["check", "virtual", "--seconds", "2", *ports, "--json"]) == 3
     captured = capsys.readouterr()
     left = "drive: the rotor is at rest, but the drive may not have released it"
     assert left in json.loads(captured.out)["warnings"][0]
@@ -119,10 +110,11 @@ def test_check_exits_3_if_the_drive_has_not_confirmed_its_release(
 
 
 def test_check_gives_a_verdict_per_device_and_exits_3_when_one_fails(
-    plugged: Rig, virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str]
+    simulated: LockstepRig, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
-    command = ["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports]
+    join(monkeypatch, "rig_cli.acquire", simulated)
+    ports = [word for setting in simulated.port_settings() for word in ("--set", setting)]
+    command = ["check", "virtual", "--seconds", "2", *ports]
     assert run([*command, "--json", "--set", "suspension.zeta1=2.0"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) >= {"rig", "devices", "identities", "rates_Hz", "losses"}
@@ -137,12 +129,12 @@ def test_check_gives_a_verdict_per_device_and_exits_3_when_one_fails(
     assert "encoder  FAIL" in shown
     assert "laser_x  pass" in shown
     assert "every angle would be scaled wrongly" in shown
-    other = load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"])
+    other = load_rig("virtual", settings=[*simulated.port_settings(), "devices.encoder.counts_per_revolution=2048"])
     with (
         pytest.raises(DeviceError, match="4096 counts per revolution, the rig file states 2048"),
-        Session(other, virtual_rig.clock) as session,
+        Session(other, simulated.clock, edge=simulated.edge) as session,
     ):
-        Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet).spin_down()
+        Procedures(session, SimulatedOperator(simulated), Path("never"), quiet).spin_down()
     assert not Path("never").exists()
 
 

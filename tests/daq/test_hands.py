@@ -1,10 +1,8 @@
-"""Rigs that the operator turns and locks by hand, and rigs with few devices: sessions on ports of the virtual rig."""
+"""Rigs that the operator turns and locks by hand, and rigs with few devices: sessions on simulated rigs."""
 
 from __future__ import annotations
 
 import json
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,42 +17,44 @@ from daq.acquisition.session import Session
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.hands import SEEN_RAD, release_time
 from daq.guided_tests.procedure import Procedures, zero_counters
+from daq.lockstep.rig import LockstepRig
 from daq.replay import check
 from daq.signals.run import load_run
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import NotIdentifiable, identify
 from identification.pendulums.release import fit_release
 from identification.pendulums.suspension_knowledge import Knowledge
-from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import TIME_SCALE
 from tests.daq.far_ends import START_NS
 
 
-@pytest.fixture
-def one(tmp_path: Path) -> Iterator[tuple[VirtualRigProcess, Rig]]:
-    with VirtualRigProcess("one_laser", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
-        yield process, load_rig("one_laser", settings=process.port_settings())
+def simulated(name: str) -> tuple[LockstepRig, Rig]:
+    process = LockstepRig(load_rig(name, settings=["virtual.seed=3"]))
+    return process, load_rig(name, settings=process.port_settings())
 
 
 @pytest.fixture
-def hand(tmp_path: Path) -> Iterator[tuple[VirtualRigProcess, Rig]]:
-    with VirtualRigProcess("by_hand", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
-        yield process, load_rig("by_hand", settings=process.port_settings())
+def one() -> tuple[LockstepRig, Rig]:
+    return simulated("one_laser")
+
+
+@pytest.fixture
+def hand() -> tuple[LockstepRig, Rig]:
+    return simulated("by_hand")
 
 
 def quiet(text: str, share: float | None) -> None:
     pass
 
 
-def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[LockstepRig, Rig], tmp_path: Path) -> None:
     process, rig = one
-    with Session(rig, process.clock) as session:
+    with Session(rig, process.clock, edge=process.edge) as session:
         checks = device_checks(rig, observe(session, 0.5))
         assert list(checks) == ["probe"]
         assert [what for what, found in checks["probe"].items() if found.failed] == []
-        tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
+        tests = Procedures(session, SimulatedOperator(process), tmp_path, quiet)
         with pytest.raises(ProcedureError, match="spin-down needs pendulum angles"):
             tests.spin_down()
         with pytest.raises(DeviceError, match="no locks that can be commanded"):
@@ -69,10 +69,10 @@ def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRig
     assert all(abs(found.values[name] - truth[name]) < 4 * found.std[name] for name in ("k1_N_per_m", "zeta1"))
 
 
-def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[LockstepRig, Rig], tmp_path: Path) -> None:
     process, rig = hand
-    with Session(rig, process.clock) as session:
-        done = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).spin_down()
+    with Session(rig, process.clock, edge=process.edge) as session:
+        done = Procedures(session, SimulatedOperator(process), tmp_path, quiet).spin_down()
     run = load_run(done.log)
     assert (done.missed, done.warnings) == ("", ())
     assert np.all(np.ptp(run.angle_rad, axis=0) > 2.0)
@@ -80,13 +80,11 @@ def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[VirtualRi
 
 
 @pytest.mark.lengthy
-def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
-    hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
-) -> None:
+def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(hand: tuple[LockstepRig, Rig], tmp_path: Path) -> None:
     process, rig = hand
     messages: list[str] = []
-    with Session(rig, process.clock, notify=messages.append) as session:
-        tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
+    with Session(rig, process.clock, edge=process.edge, notify=messages.append) as session:
+        tests = Procedures(session, SimulatedOperator(process), tmp_path, quiet)
         done = tests.point("B", rig.physics.speed_rad_s(1.6))
     run = load_run(done.log)
     assert done.missed == ""
@@ -99,9 +97,7 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     assert messages == []
 
 
-def test_an_operator_who_turns_too_fast_is_instructed_to_stop(
-    hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
-) -> None:
+def test_an_operator_who_turns_too_fast_is_instructed_to_stop(hand: tuple[LockstepRig, Rig], tmp_path: Path) -> None:
     process, rig = hand
     messages: list[str] = []
 
@@ -110,39 +106,39 @@ def test_an_operator_who_turns_too_fast_is_instructed_to_stop(
             super().turn(2.5 * rpm, 400.0)
 
     words = r"index marks come at .* rpm, limits.speed_rpm is 1200; stop the rotor"
-    session = Session(rig, process.clock, notify=messages.append)
+    session = Session(rig, process.clock, edge=process.edge, notify=messages.append)
     with pytest.raises(ProcedureError, match=words), session:
-        Procedures(session, Hasty(process.line), tmp_path, quiet).run_up(900.0, 40.0)
+        Procedures(session, Hasty(process), tmp_path, quiet).run_up(900.0, 40.0)
     (stop,) = [text for text in messages if "STOP THE ROTOR: the index marks" in text]
     assert "stop the rotor" not in stop
-    with pytest.raises(ProcedureError, match="nothing was turned"), Session(rig, process.clock) as session:
-        Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).run_up(1300.0, 40.0)
+    session = Session(rig, process.clock, edge=process.edge)
+    with pytest.raises(ProcedureError, match="nothing was turned"), session:
+        Procedures(session, SimulatedOperator(process), tmp_path, quiet).run_up(1300.0, 40.0)
 
 
-def test_a_failed_index_sensor_is_not_taken_for_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_a_failed_index_sensor_is_not_taken_for_rest(hand: tuple[LockstepRig, Rig], tmp_path: Path) -> None:
     process, rig = hand
     messages: list[str] = []
 
-    def later() -> None:
-        process.clock.sleep(7.5)
-        process.line.ask("fail", device="encoder", what="marks lost")
+    def fails() -> None:
+        process.ask("fail", device="encoder", what="marks lost")
 
     class Unlucky(SimulatedOperator):
         def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
             super().turn(rpm, ramp_rpm_per_s)
             if rpm > 0:
-                threading.Thread(target=later).start()
+                process.clock.after(7.5, fails, world=True)
 
-    session = Session(rig, process.clock, notify=messages.append)
+    session = Session(rig, process.clock, edge=process.edge, notify=messages.append)
     with pytest.raises(DeviceError, match=r"tacho: no index mark for .* no other device measures"), session:
-        Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
+        Procedures(session, Unlucky(process), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: tacho" in text for text in messages)
-    assert any("the state of the rotor is unknown" in text and "keep away" in text for text in messages)
+    assert any("the rotor still turns" in text and "keep away" in text for text in messages)
 
 
 def test_a_covered_laser_does_not_end_a_recording_without_a_commanded_speed() -> None:
     rig = load_rig("one_laser")
-    interlocks = Interlocks(rig.limits, rig.roles, lambda s: s, LeastMotion.of(rig), driving=True)
+    interlocks = Interlocks(rig.limits, rig.roles, LeastMotion.of(rig), driving=True)
     interlocks.begin(START_NS)
     assert interlocks.at_rest(START_NS) is None
     assert not interlocks.turning(START_NS)
@@ -151,11 +147,10 @@ def test_a_covered_laser_does_not_end_a_recording_without_a_commanded_speed() ->
 
 
 def test_other_makers_devices_record_turn_and_replay(tmp_path: Path) -> None:
-    with VirtualRigProcess("other_devices", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
-        rig = load_rig("other_devices", settings=process.port_settings())
-        with Session(rig, process.clock) as session:
-            tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
-            done = [tests.ring_down("y"), tests.run_down(600.0, 20.0)]
+    process, rig = simulated("other_devices")
+    with Session(rig, process.clock, edge=process.edge) as session:
+        tests = Procedures(session, SimulatedOperator(process), tmp_path, quiet)
+        done = [tests.ring_down("y"), tests.run_down(600.0, 20.0)]
     for each in done:
         assert each.missed == ""
         rows = {row.topic: row for row in check(each.log)}

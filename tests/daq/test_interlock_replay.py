@@ -20,7 +20,6 @@ from daq.replay.arrivals import Arrivals
 from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
 from daq.replay.holes import Holes
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
-from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
 from rig_configs.drivers import installed
@@ -212,26 +211,6 @@ def test_at_rest_only_what_the_test_needs_trips(tmp_path: Path) -> None:
             bench.pass_time(4.0)
             path = bench.finish()
         assert [trip.interlock for trip in judged(path).trips] == tripped
-
-
-@pytest.mark.parametrize(("text", "rate"), [("8.0", 8.0), ("fast", 1.0), ("0", 1.0), (None, 1.0), ("nan", 1.0)])
-def test_the_log_contains_the_rate_of_its_clock(text: str | None, rate: float) -> None:
-    assert clock_rate({} if text is None else {"clock_rate": text}) == rate
-
-
-def test_patience_is_that_of_the_log_s_own_clock(tmp_path: Path) -> None:
-    """At eight times real time the host's 0.3 s are 2.4 s of the rig."""
-    waits = {}
-    for rate in ("1.0", "8.0"):
-        with RecordedBench(tmp_path / f"{rate}.mcap", facts={"clock_rate": rate}) as bench:
-            bench.turn(600)
-            bench.muted.add("laser_x")
-            begun = bench.now_s
-            bench.pass_time(6.0)
-            path = bench.finish()
-        waits[rate] = (judged(path).trips[0].time_ns - START_NS) * 1e-9 - begun
-    assert waits["1.0"] == pytest.approx(0.7, abs=0.2)
-    assert waits["8.0"] == pytest.approx(3.5, abs=0.9)
 
 
 def test_what_devices_do_as_their_session_releases_them_is_no_trip(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import json
 import math
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,38 +14,17 @@ from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.log.losses import losses_of
 from daq.replay import check
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.simulated import VirtualRigProcess
-from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import LATE_BEATS, TIME_SCALE
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="one rig for all, on ptys")
-
-
-@pytest.fixture(scope="module")
-def far_end() -> Iterator[VirtualRigProcess]:
-    """One virtual rig for all tests: what one breaks it mends."""
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], TIME_SCALE, waits=True) as process:
-        yield process
-
-
-@pytest.fixture
-def rig(far_end: VirtualRigProcess) -> Rig:
-    return load_rig("virtual", settings=[*far_end.port_settings(), LATE_BEATS])
 
 
 def quiet(text: str, share: float | None) -> None:
     """No progress in tests."""
-
-
-def wait_rig_time(far_end: VirtualRigProcess, seconds: float) -> None:
-    end = far_end.line.ask("state")["time_s"] + seconds
-    while far_end.line.ask("state")["time_s"] < end:
-        threading.Event().wait(0.02)
 
 
 def turning(session: Session, rpm: float) -> None:
@@ -66,33 +44,33 @@ def summary_of(path: Path) -> dict[str, object]:
         return {key: json.loads(text) for key, text in log.metadata["summary"].items()}
 
 
-def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(far_end: VirtualRigProcess, rig: Rig) -> None:
-    before = far_end.line.ask("state")["emergencies"]
-    with Session(rig, far_end.clock) as session:
+def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(simulated: LockstepRig, cabled: Rig) -> None:
+    before = simulated.ask("state")["emergencies"]
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         turning(session, 300)
-        assert far_end.line.ask("state")["watchdog_ms"] >= 500
-    state = far_end.line.ask("state")
+        assert simulated.ask("state")["watchdog_ms"] >= 500
+    state = simulated.ask("state")
     assert (state["watchdog_ms"], state["drive"]) == (0, cia402.SWITCH_ON_DISABLED)
     assert state["speed_rpm"] < 0.5
-    wait_rig_time(far_end, 5.0)
-    assert far_end.line.ask("state")["emergencies"] == before
+    simulated.clock.wait(5.0)
+    assert simulated.ask("state")["emergencies"] == before
     assert session.notices == []
 
 
-def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
     def dies(text: str, share: float | None) -> None:
         if share is not None and share > 0.4:
-            far_end.line.ask("fail", device="encoder", what="dead", value=1)
+            simulated.ask("fail", device="encoder", what="dead", value=1)
 
     try:
         with (
             pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"),
-            Session(rig, far_end.clock) as session,
+            Session(cabled, simulated.clock, edge=simulated.edge) as session,
         ):
-            Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
+            Procedures(session, SimulatedOperator(simulated), tmp_path, dies).run_up(600.0, 25.0)
     finally:
-        far_end.line.ask("fail", device="encoder", what="dead", value=0)
-    assert far_end.line.ask("state")["speed_rpm"] < 0.5
+        simulated.ask("fail", device="encoder", what="dead", value=0)
+    assert simulated.ask("state")["speed_rpm"] < 0.5
     path = only_log(tmp_path)
     assert "pendulums: silent" in str(summary_of(path)["ended"])
     assert not check(path).channels[-1].difference
@@ -107,31 +85,31 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
         assert log["motor"]["speed_rpm"].max() < 600
 
 
-def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_drive_that_restarts_is_named_at_once(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
     restarted = r"drive: the drive started again \(boot-up"
-    with pytest.raises(DeviceError, match=restarted), Session(rig, far_end.clock) as session:  # noqa: PT012
+    with pytest.raises(DeviceError, match=restarted), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
-        far_end.line.ask("fail", device="drive", what="restart")
+        simulated.ask("fail", device="drive", what="restart")
         try:
             session.rotor.wait_for_rest(30.0)
         finally:
             assert math.isnan(session.drive.actual_rpm)
             assert session.drive.state == cia402.UNKNOWN
     assert "the drive started again" in str(summary_of(tmp_path / "a.mcap")["ended"])
-    assert far_end.line.ask("state")["speed_rpm"] < 0.5  # the session waited until the rotor had run down
+    assert simulated.ask("state")["speed_rpm"] < 0.5  # the session waited until the rotor had run down
     with open_log(tmp_path / "a.mcap") as log:
         assert [e["device"] for e in log.events if e["kind"] == "restart"] == ["drive"]
 
 
-def test_a_lone_emergency_is_reported_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_lone_emergency_is_reported_and_kept(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
     messages: list[str] = []
-    with Session(rig, far_end.clock, notify=messages.append) as session:
+    with Session(cabled, simulated.clock, edge=simulated.edge, notify=messages.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
+        simulated.ask("fail", device="drive", what="emergency", value=0x3220)
         session.wait_for(lambda: any("0x3220" in notice for notice in session.notices), 5.0, "the emergency")
         session.check()  # the run continues
-        far_end.line.ask("fail", device="drive", what="emergency", value=0)
+        simulated.ask("fail", device="drive", what="emergency", value=0)
         session.wait_for(lambda: not session.drive.emergencies, 5.0, "the error reset")
         path = session.stop_recording({})
     # a host that is too busy to send its heartbeat in time reports 0x8130
@@ -141,35 +119,33 @@ def test_a_lone_emergency_is_reported_and_kept(far_end: VirtualRigProcess, rig: 
     assert summary_of(path)["ended"] == "the test's end"
 
 
-def test_a_fault_is_reported_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_fault_is_reported_with_its_emergency(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
     fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
-    with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
+    with pytest.raises(ProcedureError, match=fault), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 200)
-        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)
+        simulated.ask("fail", device="drive", what="fault", value=0x3220)
         session.wait_for(lambda: False, 5.0, "nothing")
     assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
-    assert far_end.line.ask("state")["speed_rpm"] < 0.5
-    far_end.line.ask("fail", device="drive", what="restart")
-    wait_rig_time(far_end, 2.0)  # the boot-up would disturb the next session
+    assert simulated.ask("state")["speed_rpm"] < 0.5
 
 
 def test_a_rotor_that_still_turns_at_the_end_is_reported(
-    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
     messages: list[str] = []
     still = "the rotor still turns"
-    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, notify=messages.append) as session:  # noqa: PT012
+    with (  # noqa: PT012
+        pytest.raises(DeviceError, match=still),
+        Session(cabled, simulated.clock, edge=simulated.edge, notify=messages.append) as session,
+    ):
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
-        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # without torque the rotor coasts
-    assert far_end.line.ask("state")["watchdog_ms"] > 0
+        simulated.ask("fail", device="drive", what="fault", value=0x3220)  # without torque the rotor coasts
+    assert simulated.ask("state")["watchdog_ms"] > 0
     assert still in str(summary_of(tmp_path / "a.mcap")["ended"])
     assert any(still in text for text in messages)
-    far_end.line.ask("fail", device="drive", what="restart")
-    while far_end.line.ask("state")["speed_rpm"] > 0.5:
-        wait_rig_time(far_end, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -177,30 +153,33 @@ def test_a_rotor_that_still_turns_at_the_end_is_reported(
     [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],
 )
 def test_the_log_contains_what_ended_it(
-    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, stop: BaseException, words: str
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path, stop: BaseException, words: str
 ) -> None:
-    with pytest.raises(type(stop)), Session(rig, far_end.clock) as session:  # noqa: PT012
+    with pytest.raises(type(stop)), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         raise stop
     assert summary_of(tmp_path / "a.mcap")["ended"] == words
 
 
-def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProcess, rig: Rig) -> None:
+def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(simulated: LockstepRig, cabled: Rig) -> None:
     try:
-        with Session(rig, far_end.clock) as session:
-            far_end.line.ask("fail", device="laser_x", what="code", value=262076)
-            session.clock.sleep(1.0)
+        with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+            simulated.ask("fail", device="laser_x", what="code", value=262076)
+            session.clock.wait(1.0)
             with pytest.raises(DeviceError, match="not turned: laser/x: most samples"):
                 session.drive.enable()
             with pytest.raises(ProcedureError, match="5000 rpm requested"):
                 session.drive.set_speed(5000)
-            assert far_end.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
+            assert simulated.ask("state")["drive"] != cia402.OPERATION_ENABLED
     finally:
-        far_end.line.ask("fail", device="laser_x", what="code", value=0)
+        simulated.ask("fail", device="laser_x", what="code", value=0)
 
 
-def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    with Session(rig, far_end.clock) as session:
+@pytest.mark.skipif(sys.platform == "win32", reason="threads that wait in real time, on ptys")
+def test_a_quick_stop_waits_for_neither_log_nor_decoder(
+    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+) -> None:
+    with Session(plugged, virtual_rig.clock) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
         recorder = session.recording.recorder
@@ -219,7 +198,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         stopping.start()
         stopping.join(10)
         waited = stopping.is_alive()
-        while not waited and far_end.line.ask("state")["speed_rpm"] > 0.5:
+        while not waited and virtual_rig.line.ask("state")["speed_rpm"] > 0.5:
             threading.Event().wait(0.01)
         released.set()
         holder.join()
@@ -236,30 +215,30 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
 
 
 def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
-    far_end: VirtualRigProcess, rig: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
     class Breaks(SimulatedOperator):
         """The operator who flicks the pendulums also hits B's encoder."""
 
         def flick(self) -> None:
             super().flick()
-            far_end.line.ask("fail", device="encoder", what="flags", value=2)
+            simulated.ask("fail", device="encoder", what="flags", value=2)
 
     try:
         with (
             pytest.raises(
                 (ProcedureError, DeviceError), match="fault of encoder B"
             ),  # by the test's own look, or a tick
-            Session(rig, far_end.clock) as session,
+            Session(cabled, simulated.clock, edge=simulated.edge) as session,
         ):
-            Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()
+            Procedures(session, Breaks(simulated), tmp_path, quiet).spin_down()
         assert "fault of encoder B" in str(summary_of(only_log(tmp_path))["ended"])
-        far_end.line.ask("fail", device="encoder", what="flags", value=1)
-        with Session(rig, far_end.clock) as session:
-            tests = Procedures(session, Breaks(far_end.line), tmp_path, quiet)
+        simulated.ask("fail", device="encoder", what="flags", value=1)
+        with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+            tests = Procedures(session, Breaks(simulated), tmp_path, quiet)
             for test in (tests.spin_down, lambda: tests.point("A", 15.0), lambda: tests.run_up(600.0, 10.0)):
                 with pytest.raises(ProcedureError, match=r"fault of encoder A: .*Nothing was turned"):
                     test()
         assert len(list(tmp_path.glob("*.mcap*"))) == 1
     finally:
-        far_end.line.ask("fail", device="encoder", what="flags", value=0)
+        simulated.ask("fail", device="encoder", what="flags", value=0)

@@ -18,10 +18,6 @@ from rig_configs import load_rig
 from tests.daq.far_ends import START_NS, Bench
 
 
-def patience(seconds: float) -> float:
-    return seconds
-
-
 def test_a_rig_without_faults_is_not_stopped_and_no_channel_is_silent() -> None:
     with Bench() as bench:
         bench.turn(900)
@@ -288,7 +284,7 @@ def test_a_drive_that_follows_its_commands_is_not_a_runaway(
 ) -> None:
     """Any commands, ramps and division into reads, with noise and overshoot: a drive that follows is not stopped."""
     rng = np.random.default_rng(rows)
-    watch = RotorWatch(1200.0, patience)
+    watch = RotorWatch(1200.0)
     now, speed = 0, 0.0
     for target, steps in orders:
         watch.commanded(float(target))
@@ -303,7 +299,7 @@ def test_a_drive_that_follows_its_commands_is_not_a_runaway(
 
 @pytest.mark.parametrize(("rest_rpm", "stands"), [(1.0, False), (3.0, True)])
 def test_reported_speeds_up_to_the_rig_file_s_limit_are_rest(rest_rpm: float, stands: bool) -> None:
-    watch = RotorWatch(1200.0, lambda s: s, rest_rpm=rest_rpm)
+    watch = RotorWatch(1200.0, rest_rpm=rest_rpm)
     for k in range(100):
         watch.drive_reported(k * 10_000_000, np.array([2.0 * (-1) ** k]))
     assert watch.at_rest(100 * 10_000_000) is stands
@@ -314,7 +310,7 @@ def test_reported_speeds_up_to_the_rig_file_s_limit_are_rest(rest_rpm: float, st
 @pytest.mark.parametrize("delay_s", [0.0, 0.3, 0.8])
 def test_a_report_that_jumps_to_rest_does_not_override_index_marks(delay_s: float) -> None:
     """A drive without an encoder reports 0 rpm as soon as it is off, while the rotor coasts at 1000 rpm."""
-    watch = RotorWatch(1300.0, lambda s: s)
+    watch = RotorWatch(1300.0)
     watch.commanded(1000.0)
     turns, at_rest, ends_s = 0, [], 5.0
     for k in range(800):
@@ -332,7 +328,7 @@ def test_a_report_that_jumps_to_rest_does_not_override_index_marks(delay_s: floa
 
 
 def test_a_braked_rotor_is_at_rest_as_soon_as_the_drive_reports_it() -> None:
-    watch = RotorWatch(1300.0, lambda s: s)
+    watch = RotorWatch(1300.0)
     watch.commanded(0.0)
     turns, angle = 0, 0.0
     for k in range(300):
@@ -348,12 +344,12 @@ def test_a_braked_rotor_is_at_rest_as_soon_as_the_drive_reports_it() -> None:
 
 @given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
 def test_a_drive_beyond_its_command_or_in_reverse_is_a_runaway(target: int, sign: int) -> None:
-    watch = RotorWatch(1200.0, patience)
+    watch = RotorWatch(1200.0)
     watch.commanded(float(target))
     way = sign if sign * target >= 0 else -sign
     speeds = np.arange(0.0, 1.1 * abs(target) + 60.0, 2.0) * way
     assert any(watch.drive_reported(k * 10_000_000, speeds[k : k + 1]) is not None for k in range(len(speeds)))
-    other = RotorWatch(1200.0, patience)
+    other = RotorWatch(1200.0)
     other.commanded(float(abs(target)))
     assert any(other.drive_reported(k * 10_000_000, np.array([-2.0 * k])) is not None for k in range(40))
 
@@ -380,7 +376,7 @@ def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tupl
 @given(st.lists(st.tuples(st.sampled_from(["a", "b", "c"]), st.integers(1, 900)), max_size=60))
 def test_silences_add_up_to_the_time_without_samples(steps: list[tuple[str, int]]) -> None:
     """For any sequence of samples, beginnings and ends alternate, and the events add up to the counts."""
-    watch = ChannelWatch({"a": ("one", 0.5), "b": ("one", 1.0), "c": ("two", float("inf"))}, patience)
+    watch = ChannelWatch({"a": ("one", 0.5), "b": ("one", 1.0), "c": ("two", float("inf"))})
     watch.begin(0, expected=True)
     now, events = 0, []
     for topic, ms in steps:
@@ -402,7 +398,7 @@ def test_silences_add_up_to_the_time_without_samples(steps: list[tuple[str, int]
 def test_corrections_of_the_clock_map_do_not_make_the_rotor_too_fast(slew: float) -> None:
     """After a delay of the host the clock map converges slowly, and the mapped times have a wrong rate meanwhile."""
     rig = load_rig("virtual")
-    interlocks = Interlocks(rig.limits, rig.roles, patience, LeastMotion.of(rig), driving=True)
+    interlocks = Interlocks(rig.limits, rig.roles, LeastMotion.of(rig), driving=True)
     turn_us = 57_200
     found: list[object] = []
     for k in range(1, 60):
@@ -418,13 +414,13 @@ def test_corrections_of_the_clock_map_do_not_make_the_rotor_too_fast(slew: float
 
 
 def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
-    watch = RotorWatch(1200.0, patience)
+    watch = RotorWatch(1200.0)
     k = np.arange(8)
     assert watch.marks_received(10**18, 10**18 + k * 57_200_000, k * 40_000_000, k) is not None
 
 
 def test_delayed_index_marks_of_a_braked_rotor_are_not_a_fault() -> None:
-    watch = RotorWatch(1200.0, lambda s: s)
+    watch = RotorWatch(1200.0)
     now = START_NS
     for _ in range(60):  # 6 turns at 600 rpm in 0.6 s, whose marks the radio still holds
         now += 10_000_000
@@ -440,7 +436,7 @@ def test_delayed_index_marks_of_a_braked_rotor_are_not_a_fault() -> None:
 
 def test_a_report_without_a_speed_is_no_evidence_of_rest() -> None:
     """Its output was switched off at 600 rpm: the index marks decide until they cease."""
-    watch, now = RotorWatch(1200.0, lambda s: s), START_NS
+    watch, now = RotorWatch(1200.0), START_NS
     watch.commanded(600.0)
     turns, at_rest = 0, []
     for k in range(700):  # 7 s: marks to 3 s, speed to 1 s
@@ -463,7 +459,7 @@ def test_a_report_without_a_speed_is_no_evidence_of_rest() -> None:
 
 
 def test_a_speed_after_reports_without_one_counts_no_turns_that_were_not_reported() -> None:
-    watch, now = RotorWatch(1200.0, lambda s: s), START_NS
+    watch, now = RotorWatch(1200.0), START_NS
     watch.commanded(300.0)
     watch.node_heard(now)
     for rpm in (300.0, np.nan, np.nan, 300.0):
@@ -476,7 +472,7 @@ def test_a_speed_after_reports_without_one_counts_no_turns_that_were_not_reporte
 
 
 def test_missing_index_marks_are_not_rest_of_a_rotor_turned_by_hand() -> None:
-    watch, now, turn = RotorWatch(1200.0, lambda s: s, driven=False), START_NS, 0
+    watch, now, turn = RotorWatch(1200.0, driven=False), START_NS, 0
     watch.commanded(300.0)
     for _ in range(20):  # 300 rpm
         now, turn = now + 200_000_000, turn + 1

@@ -24,7 +24,7 @@ def test_a_log_states_why_a_laser_measures_nothing(tmp_path: Path, code: int, sh
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.ask("fail", device="laser_x", what="code", value=code, seconds=1.0)
-        sim.clock.sleep(2.0)
+        sim.clock.wait(2.0)
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         texts = [event["text"] for event in log.events if event["kind"] == "blind"]

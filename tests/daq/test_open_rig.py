@@ -9,21 +9,19 @@ import pytest
 
 from daq import open_rig, record
 from daq.errors import DeviceError, LogError
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
-from rig_cli.simulated import VirtualRigProcess
-from rig_configs import load_rig
-from tests.conftest import TIME_SCALE
+from rig_configs.schema import Rig
+from tests.conftest import join
 
 
 @pytest.fixture(autouse=True)
-def paced(virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rig's time waits for a busy machine."""
-    monkeypatch.setattr("daq.recording.HostClock", lambda rate: virtual_rig.clock)
+def joined(simulated: LockstepRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    join(monkeypatch, "daq.recording", simulated)
 
 
-def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
-    rig = load_rig("virtual", settings=virtual_rig.port_settings())
-    with open_rig(rig, clock_rate=TIME_SCALE) as session:
+def test_a_script_records_in_two_calls(cabled: Rig, tmp_path: Path) -> None:
+    with open_rig(cabled) as session:
         path = record(session, tmp_path / "run.mcap", 2.0, {"note": "two calls"})
         with pytest.raises(LogError, match="run"):
             record(session, path, 1.0)
@@ -38,16 +36,15 @@ def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path:
 
 
 def test_a_fault_during_the_recording_closes_the_log_with_its_reason(
-    virtual_rig: VirtualRigProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cabled: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = load_rig("virtual", settings=virtual_rig.port_settings())
     looks = iter([None] * 20)
 
     def check() -> None:
         if next(looks, "over") == "over":
             raise DeviceError("drive: no answer for 0.5 s")
 
-    with open_rig(rig, clock_rate=TIME_SCALE) as session:
+    with open_rig(cabled) as session:
         monkeypatch.setattr(session, "check", check)
         with pytest.raises(DeviceError, match="no answer"):
             record(session, tmp_path / "run.mcap", 60.0)

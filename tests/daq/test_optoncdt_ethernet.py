@@ -214,7 +214,7 @@ def test_a_session_records_it_and_decodes_its_log_again(tmp_path: Path) -> None:
     session = Session(load_rig(file, settings=["virtual.seed=4", *sim.port_settings()]), sim.clock, edge=sim.edge)
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.sleep(3.0)
+        sim.clock.wait(3.0)
         session.stop_recording({})
         losses = session.recording.losses()["net"]
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []

@@ -226,13 +226,13 @@ def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
         two.open = 2 < passed < 2.1 or passed > 3  # for a moment, and later for good
         opened_ns = opened_ns or (clock.ns if passed > 3 else 0)
 
-    sleep = clock.sleep
+    sleep = clock.wait
 
     def sleep_and_open(seconds: float) -> None:
         sleep(seconds)
         opens()
 
-    clock.sleep = sleep_and_open  # a hook of this test
+    clock.wait = sleep_and_open  # a hook of this test
     silent = {"laser_x": PlayedDevice(), "laser_y": PlayedDevice()}
     Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(reported.append)
     assert reported == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
@@ -242,17 +242,17 @@ def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
 def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
     outlet, clock = FakeOutlet(), FakeClock()
     playback = Playback({"laser_x": outlet}, {"laser_x": PlayedDevice()}, 1.0, clock)
-    sleep = clock.sleep
+    sleep = clock.wait
 
     def sleep_and_close(seconds: float) -> None:
         sleep(seconds)
         outlet.open = clock.ns < 8_000_000_000
 
-    clock.sleep = sleep_and_close  # a hook of this test
+    clock.wait = sleep_and_close  # a hook of this test
     playback.hold()
     assert clock.ns == pytest.approx(8e9, abs=0.03e9)
     outlet.open = True
-    clock.sleep = sleep  # a hook of this test
+    clock.wait = sleep  # a hook of this test
     playback.hold(linger_s=2.0)
     assert clock.ns == pytest.approx(10e9, abs=0.06e9)
 
@@ -323,7 +323,8 @@ def test_played_out_and_recorded_again_the_samples_are_the_same(tmp_path: Path, 
         enough = measured.play(log.raw_in_order()).delivered
         outlets = open_outlets(log, kind)
         playback = Playback(outlets, played_devices(log), speed)
-        links = {device: open_link(outlet.port, 921_600) for device, outlet in outlets.items()}
+        lines = {"drive": 500_000}  # the bit rate of a bus
+        links = {device: open_link(outlet.port, 921_600, lines.get(device)) for device, outlet in outlets.items()}
         again = tmp_path / "again.mcap"
         recorder = threading.Thread(target=record_what_comes, args=(links, again, dict(enough), 0.0))
         playback.wait_for_readers()

@@ -59,8 +59,8 @@ class Scripted(FakeClock):
         super().__init__()
         self.does = does
 
-    def sleep(self, seconds: float) -> None:
-        super().sleep(seconds)
+    def wait(self, seconds: float) -> None:
+        super().wait(seconds)
         self.does(self.ns * 1e-9 - 5)
 
 
@@ -204,8 +204,8 @@ def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
     playback = set_up(hosts, log, clock, speed=1.0)
     began_s = clock.ns * 1e-9 - 5
     script = leaving(hosts, began_s + 0.25, politely)
-    sleep = clock.sleep
-    clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # a hook of this test
+    sleep = clock.wait
+    clock.wait = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # a hook of this test
     states: list[PlaybackState] = []
     state = playback.play(log.raw_in_order(), states.append)
     assert state.cut_short

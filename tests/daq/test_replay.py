@@ -288,7 +288,7 @@ class FakeClock:
     def now_ns(self) -> int:
         return self.ns
 
-    def sleep(self, seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         self.slept.append(seconds)
         self.ns += math.ceil(seconds * 1e9)
 
@@ -296,8 +296,8 @@ class FakeClock:
 @pytest.mark.parametrize("speed", [0.5, 1.0, 8.0])
 def test_everything_comes_at_its_time_for_any_sum_of_waits(tmp_path: Path, speed: float) -> None:
     clock = FakeClock()
-    clock_sleep = clock.sleep
-    clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # every sleep is too long
+    clock_sleep = clock.wait
+    clock.wait = lambda seconds: clock_sleep(seconds + 3e-4)  # every sleep is too long
     with open_log(write_log(tmp_path / "a.mcap")) as log:
         started, reached = clock.ns, START_NS
         for _, chunk, _ in paced(log, speed, clock):

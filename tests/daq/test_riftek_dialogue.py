@@ -39,8 +39,8 @@ class BenchTime(HostClock):
     def wall_s(self) -> float:
         return self._bench.now_s
 
-    def wait(self, wall_seconds: float) -> None:
-        self._bench.pass_time(max(wall_seconds, STEP_S))
+    def wait(self, seconds: float) -> None:
+        self._bench.pass_time(max(seconds, STEP_S))
 
 
 class Bench:

@@ -1,4 +1,4 @@
-"""Sessions on ptys of a virtual rig: recording, replay, losses, unplugged cable, killed host, full disk, intruder."""
+"""Sessions on a virtual rig: recording, replay, losses, unplugged cable, killed host, full disk, intruder."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, LinkLost, LogError, ProcedureError
 from daq.guided_tests.procedure import Procedures
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.transports import HostClock
@@ -28,7 +29,6 @@ from rig_cli.demo import _radio_check
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.conftest import TIME_SCALE
 from tests.effort import thorough
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and ptys need POSIX")
@@ -39,13 +39,13 @@ def quiet(text: str, share: float | None) -> None:
 
 
 def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
-    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
-        tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet, note="<b>note</b>")
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        tests = Procedures(session, SimulatedOperator(simulated), tmp_path, quiet, note="<b>note</b>")
         done = tests.ring_down("x")
         spun = tests.spin_down()
-    radio = virtual_rig.line.ask("state")
+    radio = simulated.ask("state")
     for path in (done.log, spun.log):
         rows = check(path)
         assert [r.topic for r in rows if r.difference] == []
@@ -67,13 +67,13 @@ def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
 
 
 def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
-    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
-        done = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).run_down(600.0, 20.0)
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        done = Procedures(session, SimulatedOperator(simulated), tmp_path, quiet).run_down(600.0, 20.0)
     assert done.summary["reached_rest"] is True
     assert done.missed == ""
-    assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+    assert simulated.ask("state")["speed_rpm"] < 1
     with open_log(done.log) as log:
         assert log.metadata["run"]["test"] == "run-down"
         speed = log["motor"]["speed_rpm"]
@@ -83,17 +83,15 @@ def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
         assert 80 < int(turns[-1]) - int(turns[0]) < 130  # 10 rev/s for 1 s, then falling over 20 s
 
 
-def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(
-    virtual_rig: VirtualRigProcess, plugged: Rig
-) -> None:
-    wrong = plugged.model_copy(
+def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(simulated: LockstepRig, cabled: Rig) -> None:
+    wrong = cabled.model_copy(
         update={
-            "devices": {**plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}
+            "devices": {**cabled.devices, "laser_x": cabled.devices["laser_x"].model_copy(update={"range_m": 0.05})}
         }
     )
     with (
         pytest.raises(DeviceError, match=r"50 mm in the rig file and 25 mm in the sensor"),
-        Session(wrong, virtual_rig.clock),
+        Session(wrong, simulated.clock, edge=simulated.edge),
     ):
         pass
 
@@ -112,18 +110,16 @@ def test_locking_is_refused_while_the_rotor_turns(virtual_rig: VirtualRigProcess
 
 
 @needs_posix
-def test_a_pulled_cable_is_reported_and_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_a_pulled_cable_is_reported_and_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        virtual_rig.line.ask("unplug", device="laser_y")
+        simulated.ask("unplug", device="laser_y")
         with pytest.raises(LinkLost, match="cable"):
             session.wait_for(lambda: False, 5.0, "nothing")
-        deadline = time.monotonic() + 3
-        while virtual_rig.line.ask("state")["speed_rpm"] > 1 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+        simulated.clock.wait(3.0)
+        assert simulated.ask("state")["speed_rpm"] < 1
 
 
 _RECORD_SPINNING = """
@@ -132,8 +128,8 @@ from pathlib import Path
 from daq.acquisition.session import Session
 from daq.transports import HostClock
 from rig_configs import load_rig
-rig = load_rig("virtual", settings=sys.argv[3:])
-session = Session(rig, HostClock(float(sys.argv[2]))).open()
+rig = load_rig("virtual", settings=sys.argv[2:])
+session = Session(rig, HostClock()).open()
 session.drive.enable()
 session.drive.set_ramp(1000)
 session.drive.set_speed(1050)
@@ -146,8 +142,8 @@ while True:
 """
 
 
-def recording_host(path: Path, rig: VirtualRigProcess, scale: float, *wrapper: str) -> subprocess.Popen[str]:
-    command = [*wrapper, sys.executable, "-c", _RECORD_SPINNING, str(path), str(scale), *rig.port_settings()]
+def recording_host(path: Path, rig: VirtualRigProcess, *wrapper: str) -> subprocess.Popen[str]:
+    command = [*wrapper, sys.executable, "-c", _RECORD_SPINNING, str(path), *rig.port_settings()]
     host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert host.stdout is not None
     assert host.stdout.readline().strip() == "recording"
@@ -155,11 +151,11 @@ def recording_host(path: Path, rig: VirtualRigProcess, scale: float, *wrapper: s
 
 
 @needs_posix
-@pytest.mark.parametrize(("scale", "after_s"), [pytest.param(1.0, 0.3, marks=thorough), (4.0, 0.06), (4.0, 1.1)])
-def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(scale: float, after_s: float, tmp_path: Path) -> None:
-    with VirtualRigProcess("virtual", [], scale) as rig:
+@pytest.mark.parametrize("after_s", [pytest.param(0.3, marks=thorough), 0.06, 1.1])
+def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(after_s: float, tmp_path: Path) -> None:
+    with VirtualRigProcess("virtual", []) as rig:
         path = tmp_path / "killed.mcap"
-        host = recording_host(path, rig, scale)
+        host = recording_host(path, rig)
         time.sleep(after_s)
         host.send_signal(signal.SIGKILL)
         killed = time.monotonic()
@@ -172,9 +168,9 @@ def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(scale: float, 
         with open_log(path.with_name("killed.mcap.part")) as log:
             assert not log.complete
             arrived = [log[t].log_time_ns for t in ("laser/x", "pendulums")]
-            # wall time kept: the recording ran `after_s` at least, and may have been killed before its first flush
-            kept_wall_s = max((int(t[-1] - t[0]) * 1e-9 / scale for t in arrived if len(t)), default=0.0)
-            assert kept_wall_s > after_s - 0.5
+            # the recording ran `after_s` at least, and may have been killed before its first flush
+            kept_s = max((int(t[-1] - t[0]) * 1e-9 for t in arrived if len(t)), default=0.0)
+            assert kept_s > after_s - 0.5
         assert killed_rig_s > 0
         rows = check(path.with_name("killed.mcap.part"))
         # what was decoded live from raw bytes that are in the file is there too, up to the cut
@@ -183,12 +179,12 @@ def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(scale: float, 
 
 @needs_posix
 def test_a_full_disk_ends_the_run_with_a_readable_log_and_a_stopped_rotor(tmp_path: Path) -> None:
-    with VirtualRigProcess("virtual", [], 4.0) as rig:
+    with VirtualRigProcess("virtual", []) as rig:
         path = tmp_path / "full.mcap"
         limit = "import resource, os, sys, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); " + (
             "resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); os.execv(sys.argv[1], sys.argv[1:])"
         )
-        host = recording_host(path, rig, 4.0, sys.executable, "-c", limit)
+        host = recording_host(path, rig, sys.executable, "-c", limit)
         _, stderr = host.communicate(timeout=30)
         assert host.returncode != 0
         assert "File too large" in stderr or "OSError" in stderr
@@ -222,7 +218,7 @@ def test_the_control_port_requires_its_token(virtual_rig: VirtualRigProcess) -> 
 
 @needs_posix
 def test_ptys_and_tcp_ports_carry_the_same_rig(tmp_path: Path) -> None:
-    with VirtualRigProcess("virtual", [], TIME_SCALE, "tcp", waits=True) as rig:
+    with VirtualRigProcess("virtual", [], "tcp") as rig:
         assert all(port.startswith("socket://127.0.0.1:") for port in rig.ports.values())
         plugged = load_rig("virtual", settings=rig.port_settings())
         with Session(plugged, rig.clock) as session:
@@ -230,51 +226,51 @@ def test_ptys_and_tcp_ports_carry_the_same_rig(tmp_path: Path) -> None:
         assert [r.topic for r in check(done.log) if r.difference] == []
 
 
-def test_the_drive_reports_its_states_on_the_way_to_operation(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_the_drive_reports_its_states_on_the_way_to_operation(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         assert session.drive.state == cia402.OPERATION_ENABLED
         session.drive.disable()
         session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")
 
 
-def test_a_drive_that_stops_by_itself_ends_the_test(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_a_drive_that_stops_by_itself_ends_the_test(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
         session.drive._beat.stop()  # the host's heartbeat falls silent
         with pytest.raises(ProcedureError, match="without a command"):
             session.wait_for(lambda: False, 5.0, "nothing")
-        assert virtual_rig.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
+        assert simulated.ask("state")["drive"] != cia402.OPERATION_ENABLED
 
 
 @needs_posix
-def test_a_device_that_falls_silent_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_a_device_that_falls_silent_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
         session.devices.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
         with pytest.raises(DeviceError, match="laser/x: silent"):
             session.wait_for(lambda: False, 10.0, "nothing")
-    assert virtual_rig.line.ask("state")["speed_rpm"] < 0.5
+    assert simulated.ask("state")["speed_rpm"] < 0.5
 
 
-def test_closing_a_session_at_speed_stops_the_rotor_first(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_closing_a_session_at_speed_stops_the_rotor_first(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         session.drive.set_speed(400)
         session.wait_for(lambda: session.drive.actual_rpm > 300, 5.0, "the rotor to turn")
-    assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+    assert simulated.ask("state")["speed_rpm"] < 1
 
 
-def test_too_much_displacement_stops_the_rotor(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_too_much_displacement_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.drive.enable()
         session.drive.set_speed(60)
         session.wait_for(lambda: session.drive.actual_rpm > 50, 5.0, "the rotor to turn")
-        virtual_rig.line.ask("pluck", x_mm=12.2, y_mm=0, hold_s=1.0)
+        simulated.ask("pluck", x_mm=12.2, y_mm=0, hold_s=1.0)
         with pytest.raises(ProcedureError, match=r"laser/x: .* mm, limits\.amplitude_m is 11 mm"):
             session.wait_for(lambda: False, 5.0, "nothing")
 
@@ -290,7 +286,7 @@ def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> No
 def test_the_virtual_rig_ends_with_its_parent_process() -> None:
     script = (
         "import sys, time\nfrom rig_cli.simulated import VirtualRigProcess\n"
-        "rig = VirtualRigProcess('virtual', [], 1.0)\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
+        "rig = VirtualRigProcess('virtual', [])\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
     )
     starter = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     assert starter.stdout is not None
@@ -308,7 +304,6 @@ def test_the_virtual_rig_ends_with_its_parent_process() -> None:
 def recording_command(rig: VirtualRigProcess, log: Path) -> list[str]:
     """Return the command line of a recording from a virtual rig."""
     command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(log)]
-    command += ["--time-scale", str(TIME_SCALE)]
     return command + [word for setting in rig.port_settings() for word in ("--set", setting)]
 
 
@@ -323,7 +318,7 @@ def wait_until_recorded(log: Path) -> None:
 def test_a_recording_goes_on_when_its_terminal_is_gone(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
     """The page of the recording is shown four times a second on a terminal that is closed meanwhile."""
     log, (ours, theirs) = tmp_path / "run.mcap", os.openpty()
-    command = [*recording_command(virtual_rig, log), "--duration", "15", "--json"]
+    command = [*recording_command(virtual_rig, log), "--duration", "4", "--json"]
     host = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=theirs, text=True, env={**os.environ, "TERM": "xterm"}
     )
@@ -336,7 +331,7 @@ def test_a_recording_goes_on_when_its_terminal_is_gone(virtual_rig: VirtualRigPr
     with open_log(log) as opened:
         assert opened.complete
         times = opened["laser/x"].time_s
-        assert times[-1] - times[0] > 14.0
+        assert times[-1] - times[0] > 3.5
 
 
 @needs_posix

@@ -18,8 +18,8 @@ import pytest
 
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link, open_link
-from daq.transports.can_frames import CanFrame, FrameDecoder, encode
-from daq.transports.wires import PtyWire, TcpWire
+from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
+from daq.transports.wires import PtyWire, TcpWire, make_wire
 
 FRAME = encode(CanFrame(0x185, b"\x37\x02\x10\x00"))
 
@@ -35,8 +35,8 @@ class Peer:
     close: Callable[[], None]
 
 
-def _wired(wire: Any) -> Peer:
-    link = open_link(wire.port, 921_600)
+def _wired(wire: Any, bitrate: int | None = None) -> Peer:
+    link = open_link(wire.port, 921_600, bitrate)
     wire.receive()  # a TCP wire accepts here
     return Peer(link, wire.send, wire.receive, wire.pull, wire.close)
 
@@ -57,11 +57,17 @@ def _can() -> Peer:
     return Peer(link, send, receive, None, far.shutdown)
 
 
-@pytest.fixture(params=["pty", "tcp", "can"])
+@pytest.fixture(params=["pty", "tcp", "can", "slcan"])
 def peer(request: pytest.FixtureRequest) -> Iterator[Peer]:
     if request.param == "pty" and sys.platform == "win32":
         pytest.skip("ptys need POSIX")
-    made = {"pty": lambda: _wired(PtyWire()), "tcp": lambda: _wired(TcpWire()), "can": _can}[request.param]()
+    makers = {
+        "pty": lambda: _wired(PtyWire()),
+        "tcp": lambda: _wired(TcpWire()),
+        "can": _can,
+        "slcan": lambda: _wired(make_wire("tcp", adapter=True), 500_000),
+    }
+    made = makers[request.param]()
     yield made
     made.link.close()
     made.close()
@@ -77,7 +83,8 @@ def _arrives(read: Callable[[], bytes], wanted: bytes) -> bytes:
 def test_bytes_arrive_whole_and_in_order(peer: Peer) -> None:
     for _ in range(20):
         peer.send(FRAME)
-    assert _arrives(lambda: peer.link.read(0.2), FRAME * 20) == FRAME * 20
+    came = decode(_arrives(lambda: peer.link.read(0.2), FRAME * 20))
+    assert (came.frames, came.damaged) == (decode(FRAME * 20).frames, 0)  # an adapter may state their times
 
 
 def test_bytes_leave_whole_and_in_order(peer: Peer) -> None:
@@ -142,7 +149,6 @@ def test_the_name_of_a_pulled_port_is_not_given_to_another_program() -> None:
     others = [PtyWire() for _ in range(8)]
     try:
         assert pulled.port not in [other.port for other in others]
-        assert not pulled.held_up()
         with pytest.raises(LinkLost, match="cannot be opened"):
             open_link(pulled.port, 921_600)
     finally:
@@ -150,19 +156,16 @@ def test_the_name_of_a_pulled_port_is_not_given_to_another_program() -> None:
             wire.close()
 
 
-def test_host_clock_runs_at_its_rate() -> None:
-    clock = HostClock(10.0)
+def test_the_host_clock_advances_with_the_monotonic_one_from_the_present() -> None:
+    clock = HostClock()
+    assert abs(clock.now_ns() - time.time_ns()) < 5_000_000_000
     longest = time.monotonic_ns()
     before = clock.now_ns()
-    shortest = time.monotonic_ns()
-    clock.sleep(0.5)
-    shortest = time.monotonic_ns() - shortest
+    clock.wait(0.05)
+    clock.wait(-1.0)
     passed = clock.now_ns() - before
     longest = time.monotonic_ns() - longest
-    assert 10 * shortest - 1000 < passed < 10 * longest + 1000
-    assert passed >= 0.5e9 - 1000
-    assert clock.patience(0.5) == 5.0
-    assert HostClock(1.0).patience(0.5) == 0.5
+    assert 50_000_000 <= passed <= longest
 
 
 def test_a_tcp_far_end_serves_one_host_and_hangs_up_on_the_next() -> None:

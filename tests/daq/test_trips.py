@@ -25,12 +25,8 @@ S = 1_000_000_000
 ROLES = load_rig("virtual").roles
 
 
-def patience(seconds: float) -> float:
-    return seconds
-
-
 def made(roles=ROLES) -> Trips:
-    return Trips(channels.CHANNELS.values(), roles, patience)
+    return Trips(channels.CHANNELS.values(), roles)
 
 
 def laser(start_ns: int, seconds: float, displacement_m: np.ndarray | None = None) -> Batch:
@@ -110,15 +106,6 @@ def test_all_that_came_together_is_named_and_what_came_later_is_listed() -> None
     assert [reason.text for reason in trips.reasons] == [r["text"] for r in event.facts["reasons"]]
 
 
-def test_time_together_is_the_host_s() -> None:
-    trips = Trips(channels.CHANNELS.values(), ROLES, lambda seconds: 8 * seconds)
-    trips.tripped("amplitude", "a", T0)
-    trips.tripped("runaway", "b", T0 + 2 * S)
-    assert len(trips.reasons) == 2
-    assert trips.tick(T0 + S + 7 * S // 10, Recent(1.0)) == []
-    only(trips.tick(T0 + S + 9 * S // 10, Recent(1.0)))
-
-
 def test_the_speed_is_the_last_word_before_the_trip() -> None:
     trips, recent = made(), Recent(10.0)
     for at, rpm in ((-2, 590.0), (-1, 601.5), (1, 3.0)):
@@ -194,7 +181,7 @@ def test_a_whole_trip_on_the_bench_goes_into_a_log_and_back(tmp_path: Path) -> N
         recent = Recent(10.0)
         hear = bench.interlocks.feed
         bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]
-        trips = Trips(channels.CHANNELS.values(), bench.rig.roles, patience)
+        trips = Trips(channels.CHANNELS.values(), bench.rig.roles)
         bench.turn(600)
         bench.fails("laser_x", "code", 262076)
         bench.pass_time(0.5)

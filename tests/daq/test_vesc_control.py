@@ -47,9 +47,9 @@ class RigTime(HostClock):
     def wall_s(self) -> float:
         return self.rig_s
 
-    def wait(self, wall_seconds: float) -> None:
+    def wait(self, seconds: float) -> None:
         assert self.passes is not None
-        self.passes(wall_seconds)
+        self.passes(seconds)
 
 
 class Bench:

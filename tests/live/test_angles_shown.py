@@ -71,7 +71,7 @@ def test_a_pendulum_that_turns_on_draws_no_stroke_across_and_a_minimum_and_maxim
 def test_header_and_curve_have_the_same_value() -> None:
     ours, theirs = Pipe()
     with ours, theirs:
-        watched = Watched(load_rig("virtual"), theirs, 1.0, "virtual")
+        watched = Watched(load_rig("virtual"), theirs, "virtual")
         model = LiveModel(watched.signals.rig)
         pictures = Pictures(watched, model, Followers(watched.signals, model))
         heard_ns = 10**18

@@ -64,7 +64,7 @@ def _ask(page: LivePage, path: str, **body: Any) -> tuple[int, dict[str, Any]]:
 
 
 def _page(rig: Rig) -> LivePage:
-    return LivePage(rig, None, "rig file", 1.0, rig.name)
+    return LivePage(rig, None, "rig file", rig.name)
 
 
 def test_a_session_is_shown_stopped_and_its_log_whole(
@@ -73,7 +73,7 @@ def test_a_session_is_shown_stopped_and_its_log_whole(
     def broken() -> None:
         raise ZeroDivisionError("unforeseen")
 
-    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    page = LivePage(plugged, None, "rig file", "here")
     with page, Session(plugged, virtual_rig.clock) as session:
         assert _ask(page, "/stop") == (409, {"error": "stop: the rig is not open yet"})
         session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
@@ -100,7 +100,7 @@ def test_a_session_is_shown_stopped_and_its_log_whole(
 def test_a_session_that_has_ended_is_shown_as_ended_and_takes_nothing_more(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
-    with LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here") as page:
+    with LivePage(plugged, None, "rig file", "here") as page:
         with Session(plugged, virtual_rig.clock) as session:
             session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
             page.follow(session, Asking(), session.stop, {})
@@ -157,7 +157,7 @@ def test_a_page_that_was_killed_does_not_end_the_session(
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGSTOP")
 def test_a_stop_passes_a_page_s_process_that_stands_still(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
     stops: list[str] = []
-    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    page = LivePage(plugged, None, "rig file", "here")
     with page, Session(plugged, virtual_rig.clock) as session:
         page.follow(session, Asking(), stops.append, {})
         assert page._process.pid is not None
@@ -171,7 +171,7 @@ def test_a_stop_passes_a_page_s_process_that_stands_still(virtual_rig: VirtualRi
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 def test_a_page_whose_stop_has_failed_shows_it(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    page = LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here")
+    page = LivePage(plugged, None, "rig file", "here")
     with page, Session(plugged, virtual_rig.clock) as session:
         page.follow(session, Asking(), session.stop, {})
         parts = urlsplit(page.url)
@@ -190,7 +190,7 @@ def test_a_page_whose_stop_has_failed_shows_it(virtual_rig: VirtualRigProcess, p
 
 def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(LiveError, match=r"the live page: .*another port"):
-        LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
+        LivePage(load_rig("virtual"), None, "", "", "", taken.getsockname()[1]).__enter__()
 
 
 def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +213,7 @@ def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest
 
     monkeypatch.setattr(anyio.to_thread, "run_sync", busy)
     ours, theirs = Pipe()
-    source = watched.Watched(load_rig("virtual"), theirs, 1.0, "virtual")
+    source = watched.Watched(load_rig("virtual"), theirs, "virtual")
     with ours, theirs, Serving(source, LiveModel(source.signals.rig)) as serving:
         parts = urlsplit(serving.url)
         connection = HTTPConnection(parts.netloc, timeout=WAIT_S)

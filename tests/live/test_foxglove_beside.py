@@ -37,8 +37,8 @@ from rig_configs.schema import Rig
 WAIT_S = 30.0
 
 
-def _connection(rig: Rig, rate: float = 1.0) -> FoxgloveConnection:
-    return FoxgloveConnection(rig, rate, 0, (), lambda text: None)
+def _connection(rig: Rig) -> FoxgloveConnection:
+    return FoxgloveConnection(rig, 0, (), lambda text: None)
 
 
 def _line(connection: FoxgloveConnection) -> ClientConnection:
@@ -54,7 +54,7 @@ def _subscribe(line: ClientConnection, *topics: str) -> dict[int, str]:
 
 
 def test_a_session_gives_what_its_log_will_have(virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path) -> None:
-    connection = _connection(plugged, virtual_rig.clock.rate)
+    connection = _connection(plugged)
     came: list[tuple[str, int, bytes]] = []
     clocks: list[int] = []
     with connection, _line(connection) as line:
@@ -127,7 +127,7 @@ def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: Virt
 
 def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(LiveError, match=r"connection for Foxglove: .*another port"):
-        FoxgloveConnection(load_rig("virtual"), 1.0, taken.getsockname()[1], (), print).__enter__()
+        FoxgloveConnection(load_rig("virtual"), taken.getsockname()[1], (), print).__enter__()
 
 
 def _batch(times: list[int]) -> Batch:

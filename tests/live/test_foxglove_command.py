@@ -62,7 +62,7 @@ def test_a_log_is_given_until_the_command_ends(point_log: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
 def test_a_recording_is_given_while_it_runs(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
     settings = [part for setting in virtual_rig.port_settings() for part in ("--set", setting)]
-    command = [*RIG, "record", "virtual", "-o", str(tmp_path / "a.mcap"), "--time-scale", str(virtual_rig.clock.rate)]
+    command = [*RIG, "record", "virtual", "-o", str(tmp_path / "a.mcap")]
     with subprocess.Popen(
         [*command, "--json", "--foxglove", "--foxglove-port", "0", *settings],
         stdout=subprocess.PIPE,

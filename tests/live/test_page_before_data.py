@@ -23,7 +23,7 @@ WAIT_MS = 30_000
 def watched() -> Iterator[Watched]:
     """A rig that is being opened."""
     ours, theirs = Pipe()
-    yield Watched(load_rig("virtual"), theirs, 1.0, "virtual")
+    yield Watched(load_rig("virtual"), theirs, "virtual")
     ours.close()
     theirs.close()
 

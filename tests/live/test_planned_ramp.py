@@ -80,7 +80,7 @@ def test_the_page_receives_the_numbers_of_the_test_that_runs() -> None:
 def test_the_bode_plot_draws_the_ramp_of_the_test_and_no_other(page: Page) -> None:
     ours, theirs = Pipe()
     with ours, theirs:
-        watched = Watched(load_rig("virtual"), theirs, 1.0, "virtual")
+        watched = Watched(load_rig("virtual"), theirs, "virtual")
         handed = {"heard_ns": 10**18, "rows": [], "events": []}
         with Serving(watched, LiveModel(watched.signals.rig)) as serving:
             page.goto(serving.url)

@@ -46,7 +46,7 @@ def on_ports(rig: VirtualRigProcess) -> list[str]:
 def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
     link: str, capsys: CAPTURE, tmp_path: Path
 ) -> None:
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], 1.0, link) as rig:
+    with VirtualRigProcess("virtual", ["virtual.seed=3"], link) as rig:
         found = devices(capsys, "--ask", *on_ports(rig))
         drivers = {each["port"]: each["driver"] for each in found["ports"]}
         assert {name: drivers[port] for name, port in rig.ports.items()} == {
@@ -75,7 +75,7 @@ def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
 
 def test_other_devices_need_only_what_they_do_not_report(capsys: CAPTURE, tmp_path: Path) -> None:
     """Sensors, radio and controller of other makers: the page names the settings that are to be filled in."""
-    with VirtualRigProcess("other_devices", ["virtual.seed=3"], 1.0) as rig:
+    with VirtualRigProcess("other_devices", ["virtual.seed=3"]) as rig:
         found = devices(capsys, "--ask", *on_ports(rig))
         drivers = {each["port"]: each["driver"] for each in found["ports"]}
         assert {name: drivers[port] for name, port in rig.ports.items()} == {

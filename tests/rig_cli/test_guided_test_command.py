@@ -22,6 +22,7 @@ from daq.guided_test_kinds import KINDS
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.start_ups import summed
+from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
@@ -33,7 +34,7 @@ from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import RigFileError, load_rig
 from rig_configs.schema import Rig
-from tests.conftest import LATE_BEATS, TIME_SCALE
+from tests.conftest import join
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="keys are read from a pty")
 
@@ -228,7 +229,7 @@ def test_keys_pause_resume_abort_note_and_confirm() -> None:
 
 
 def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
-    virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
+    simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
     controls = Controls()
     seen: list[dict[str, float]] = []
@@ -239,11 +240,11 @@ def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
             controls.note("it hums")
             controls.abort("it hums too much")
 
-    with Session(plugged, virtual_rig.clock) as session:
-        tests = Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, progress, controls=controls)
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        tests = Procedures(session, SimulatedOperator(simulated), tmp_path, progress, controls=controls)
         done = tests.run_up(900.0, 20.0)
         assert session.rotor.at_rest() is True
-        assert virtual_rig.line.ask("state")["speed_rpm"] < 1
+        assert simulated.ask("state")["speed_rpm"] < 1
     assert (done.aborted, done.missed) == (True, "aborted by the operator in 'ramp': it hums too much")
     assert 0.2 < seen[0]["speed"] < 0.7
     assert 0 < seen[0]["x"] < 1
@@ -257,9 +258,13 @@ def test_an_abort_in_a_ramp_keeps_a_log_with_notes_and_leaves_the_rotor_at_rest(
 
 @pytest.mark.lengthy
 def test_start_ups_are_recorded_one_by_one_and_classed(
-    shared_clock: VirtualRigProcess, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    simulated: LockstepRig,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ports = [word for setting in [*shared_clock.port_settings(), LATE_BEATS] for word in ("--set", setting)]
+    join(monkeypatch, "rig_cli.guided_test", simulated)
+    ports = [word for setting in simulated.port_settings() for word in ("--set", setting)]
     words = [
         "test",
         "virtual",
@@ -269,8 +274,6 @@ def test_start_ups_are_recorded_one_by_one_and_classed(
         "2",
         "--out",
         str(tmp_path),
-        "--time-scale",
-        f"{TIME_SCALE:g}",
     ]
     code, out, _ = run_rig(capsys, *words, "--json", *ports)
     result = json.loads(out)
@@ -285,7 +288,7 @@ def test_start_ups_are_recorded_one_by_one_and_classed(
         thetas = np.radians([each["theta3_deg"], each["theta4_deg"]])
         moments = [model.a.first_moment_kg_m, model.b.first_moment_kg_m]
         assert abs(model.imbalance_moment_kg_m + np.sum(moments * np.exp(1j * thetas))) < 0.02 * moments[0]
-    assert shared_clock.line.ask("state")["speed_rpm"] < 1
+    assert simulated.ask("state")["speed_rpm"] < 1
 
 
 def test_the_whole_of_start_ups_counts_classes_and_takes_angles_as_directions() -> None:
@@ -309,7 +312,7 @@ def test_keys_at_a_terminal_note_and_abort_a_test_that_waits_for_a_person(
     virtual_rig: VirtualRigProcess, tmp_path: Path
 ) -> None:
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
-    words = ["test", "virtual", "ring-down-x", "--out", str(tmp_path), "--time-scale", f"{TIME_SCALE:g}", "--json"]
+    words = ["test", "virtual", "ring-down-x", "--out", str(tmp_path), "--json"]
     ours, theirs = os.openpty()
     command = [sys.executable, "-m", "rig_cli.main", *words, *ports]
     test = subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

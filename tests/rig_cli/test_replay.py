@@ -258,7 +258,7 @@ def hosted(player: Player, *command: str) -> subprocess.CompletedProcess[str]:
 
 def drained(ports: dict[str, str], got: dict[str, int]) -> None:
     """Read every port until nothing has come for a while, then close it."""
-    links = {device: open_link(port, 921_600) for device, port in ports.items()}
+    links = {device: open_link(port, 921_600, 500_000 if device == "drive" else None) for device, port in ports.items()}
     quiet = 0
     while quiet < 20:
         read = {device: len(link.read(0.02)) for device, link in links.items()}

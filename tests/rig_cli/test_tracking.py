@@ -27,8 +27,7 @@ def quiet(text: str, share: float | None) -> None:
 
 def test_a_spin_down_is_followed_from_wrong_dampings(tmp_path: Path) -> None:
     compile_tracker(load_rig("virtual").physics)
-    slow = 3.0  # seconds on a busy machine in which nothing is heard make the tracker start again
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], slow, waits=True) as virtual_rig:
+    with VirtualRigProcess("virtual", ["virtual.seed=3"]) as virtual_rig:
         rig = load_rig("virtual", settings=[*virtual_rig.port_settings(), *WRONG])
         with Session(rig, virtual_rig.clock) as session, LiveTracking(session) as following:
             Procedures(session, SimulatedOperator(virtual_rig.line), tmp_path, quiet).spin_down()

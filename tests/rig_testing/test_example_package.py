@@ -48,7 +48,6 @@ UNCHECKED, FORGETFUL = with_pipeline(LinePipeline, unchecked), with_pipeline(For
 RECORD = """
 import sys
 import threading
-from unittest.mock import patch
 from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
 
@@ -59,12 +58,11 @@ def pluck(line):
     while not over.wait(1.2):
         line.ask("pluck", x_mm=2.0, y_mm=1.0, hold_s=0.3)
 
-with VirtualRigProcess(rig, [], 1.0, waits=True) as far:
+with VirtualRigProcess(rig, []) as far:
     hand = threading.Thread(target=pluck, args=(far.line,))
     hand.start()
     ports = [word for setting in far.port_settings() for word in ("--set", setting)]
-    with patch("rig_cli.acquire.HostClock", lambda scale: far.clock):  # its time waits for a busy machine
-        code = run(["record", rig, "--duration", "4", "-o", log, *ports])
+    code = run(["record", rig, "--duration", "4", "-o", log, *ports])
     over.set()
     hand.join()
 sys.exit(code or run(["replay", log, "--check", "--json"]))

@@ -24,7 +24,7 @@ from daq.transports.slcan import HostText, LineDecoder
 BITRATES = {500_000: "S6", 1_000_000: "S8", 250_000: "S5", 125_000: "S4"}
 """Bit rates of the settings, with the adapter's command."""
 _PARTS = {1: "vendor_id", 2: "product_code", 3: "revision", 4: "serial"}
-_ANSWER_S, _BATCH_S = 0.3, 0.15  # longest waits for one node and for a batch, wall s
+_ANSWER_S, _BATCH_S = 0.3, 0.15  # longest waits for one node and for a batch, s
 _BATCH = 16  # nodes that are queried at once; an adapter's buffer holds so many frames
 _CANABLE = re.compile(rb"[0-9A-Za-z._-]+ [^\r]*can(?:able|tact)[^\r]*\r", re.IGNORECASE)
 _LISTENING, _NORMAL = ("L\r", ""), ("M1\rO\r", "M0\r")  # commands to listen only, and those that end it

@@ -13,7 +13,7 @@ from daq.errors import DeviceError
 from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import HostClock
 
-_ANSWER_S = 0.3  # wall s to wait for an answer
+_ANSWER_S = 0.3  # s to wait for an answer
 _TRIES = 3
 _SDO = struct.Struct("<BHBI")
 _READ, _WRITE, _ABORT = 0x40, 0x23, 0x80

@@ -26,13 +26,13 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_ENABLE_S = 10.0  # wall s to reach operation: a drive may charge its link and look for its motor's position
-_REQUEST_S = 0.04  # wall s between requests to a drive that may report changes only
-_RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
-_MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
-_OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
+_ENABLE_S = 10.0  # s to reach operation: a drive may charge its link and look for its motor's position
+_REQUEST_S = 0.04  # s between requests to a drive that may report changes only
+_RESET_S = 0.05  # s for which each controlword is held while a fault is reset
+_MAX_BEAT_AGE_S = 0.3  # s by which a heartbeat may be late on a busy host
+_OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # s to wait for the end of the torque, and between two commands
 _MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
-_REPORT_DELAY_S = 0.03  # wall s, from the drive's time-out to its emergency in the host
+_REPORT_DELAY_S = 0.03  # s, from the drive's time-out to its emergency in the host
 _MAX_WATCH_RATIO = 2  # of the drive's heartbeat timeout to the requested one; a drive may round it
 _TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _MAX_EMERGENCIES = 30  # emergencies that are kept for a message
@@ -40,8 +40,8 @@ _UNCONFIRMED = (
     "it does not answer: the end of the torque is not confirmed. It still watches the host's heartbeat. Look at its "
     "power and its line before anyone touches the rotor"
 )
-_QUICK_STOP_S = 0.3  # wall s within which a drive must follow a quick stop
-_MAX_REPORT_AGE_S = 0.5  # wall s after which a report of the drive is too old
+_QUICK_STOP_S = 0.3  # s within which a drive must follow a quick stop
+_MAX_REPORT_AGE_S = 0.5  # s after which a report of the drive is too old
 
 
 class DriveControl:
@@ -89,11 +89,11 @@ class DriveControl:
         self._awaits_report = False  # whether the network operation was started and no report has arrived since
         self._fault_without_host: bool | None = None  # whether a missing heartbeat led to FAULT; None: not measured
         self._beats, self._beats_unwatched = 0, 0  # heartbeats sent, and those before the drive's watch was set
-        self._beat_s = -math.inf  # time of the last one, wall s
+        self._beat_s = -math.inf  # time of the last one, s
         self._started_again, self._contact = False, FirstContact()
-        self._stopping_s: float | None = None  # time of the first of the present stop commands, wall s
+        self._stopping_s: float | None = None  # time of the first of the present stop commands, s
         self._beat_ended = False  # whether the heartbeat was ended to make the drive stop by itself
-        self._watch_ms = min(65535, round(clock.patience(config.heartbeat_timeout_ms)))
+        self._watch_ms = min(65535, round(config.heartbeat_timeout_ms))
         self._found: tuple[int, float] | None = None  # statusword and speed, rpm, when it was opened, from its objects
 
     def notice(self, pipeline: Pipeline) -> None:
@@ -130,7 +130,7 @@ class DriveControl:
     @property
     def actual_rpm(self) -> float:
         """Speed as the drive reports it, rpm; NaN if the newest report is too old."""
-        recent = self._clock.now_ns() - self._reported_ns <= self._clock.patience(_MAX_REPORT_AGE_S) * 1e9
+        recent = self._clock.now_ns() - self._reported_ns <= _MAX_REPORT_AGE_S * 1e9
         return self._reported_rpm if recent and self._statusword is not None else math.nan
 
     @property
@@ -375,7 +375,7 @@ class DriveControl:
         """Whether the drive has left operation, or its newest report is from within `_QUICK_STOP_S` of the command."""
         if self._recent_state == cia402.UNKNOWN:
             return False
-        reported_s = self._clock.wall_s() - self._clock.wall((self._clock.now_ns() - self._reported_ns) * 1e-9)
+        reported_s = self._clock.wall_s() - (self._clock.now_ns() - self._reported_ns) * 1e-9
         return self.state != cia402.OPERATION_ENABLED or reported_s - (self._stopping_s or 0.0) <= _QUICK_STOP_S
 
     def why(self) -> str:
@@ -408,15 +408,15 @@ class DriveControl:
 
     def _time_out(self, stated_ms: int) -> TimeOut:
         """Wait for the report of the missing heartbeat, which has just been ended."""
-        end_s = self._beat_s + self._clock.wall(_MOST_TIME_OUTS * stated_ms * 1e-3) + 1.0
+        end_s = self._beat_s + _MOST_TIME_OUTS * stated_ms * 1e-3 + 1.0
         looked_s, longest_s, heard = self._clock.wall_s(), 0.0, False
         while not heard and looked_s < end_s:
             self._clock.wait(0.002)
             before_s, looked_s = looked_s, self._clock.wall_s()
             heard, longest_s = cia301.HEARTBEAT_ERROR in self.emergencies, max(longest_s, looked_s - before_s)
         silent_s = looked_s - self._beat_s
-        resolution_s = self._clock.rig(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
-        return TimeOut(self._clock.rig(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
+        resolution_s = _REPORT_DELAY_S + 2 * longest_s  # a busy host is late
+        return TimeOut(silent_s if heard else None, stated_ms * 1e-3, resolution_s)
 
     def ignores_missing_host(self) -> bool:
         """Return whether the drive goes on turning without its host: it states no reaction, and no FAULT followed."""

@@ -33,7 +33,7 @@ from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 
-_MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its reports afterwards
+_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its reports afterwards
 _QUICK_STOP_RPM_S = 4000.0
 _COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
@@ -46,7 +46,7 @@ class SimulatedDrive(FarEnd):
     Args:
         config: table of the drive in the rig file.
         motion: motion of the rotor.
-        report_s: period of the speed report, rig s.
+        report_s: period of the speed report, s.
 
     Attributes:
         state: CiA 402 state.

@@ -23,7 +23,7 @@ from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.texts import number_of
 
 _OFF = 1 << 31  # bit of a PDO's identifier
-_LATEST_REPORTS_S = 0.05  # longest pause of the simulation after which reports are sent afterwards, rig s
+_LATEST_REPORTS_S = 0.05  # longest pause of the simulation after which reports are sent afterwards, s
 _COLUMNS = {"a": (2, 6), "b": (3, 7), "shaft": (8, 9)}  # of the motion: angle and its rate
 
 
@@ -137,7 +137,7 @@ class SimulatedEncoder:
         self.out.append(CanFrame(0x700 + self.node, bytes([self._nmt.state])))
 
     def due(self, motion: MotionInterval) -> list[tuple[float, CanFrame]]:
-        """Return the reports of an interval of motion with their instants, rig s.
+        """Return the reports of an interval of motion with their instants, s.
 
         The rig passes the host's bytes on at the end of the interval in which they came.
         """
@@ -160,7 +160,7 @@ class SimulatedEncoder:
         return out
 
     def _own_instants(self, motion: MotionInterval) -> list[float]:
-        """Return the instants of the own timer in the interval, rig s."""
+        """Return the instants of the own timer in the interval, s."""
         period_s = self.objects[0x1800, 5][0] * 1e-3
         if not period_s or self.objects[0x1800, 2][0] < 254:
             self._next = None

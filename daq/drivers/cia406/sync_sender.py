@@ -45,11 +45,11 @@ class SyncSender(RequestLoop):
         self._expected = frozenset(cia301.cob_tpdo(1, encoder.node) for encoder in settings.encoders)
         self._missing: set[int] = set()
         self._owing: set[int] = set()  # encoders from which two answers may come, the first one to the SYNC before
-        self._given_up: dict[int, float] = {}  # wall times of the first answers to the SYNCs given up, by encoder, s
+        self._given_up: dict[int, float] = {}  # times of the first answers to the SYNCs given up, by encoder, s
         self._misses = dict.fromkeys(self._expected, 0)
         self._lines = FrameDecoder()
         self._write = send
-        self._first_s: float | None = None  # wall time of the first answer to the newest SYNC
+        self._first_s: float | None = None  # time of the first answer to the newest SYNC
         self._firsts: deque[float] = deque(maxlen=_ROUNDS)  # from the SYNC to the first answer, s
         self._waits: deque[float] = deque(maxlen=_ROUNDS)  # from the first answer to the last one, s
         self._max_lateness_s = settings.max_lateness_s
@@ -84,7 +84,7 @@ class SyncSender(RequestLoop):
     def _others_s(self, first_s: float) -> float:
         """Return how long the other answers are waited for after the first one, s."""
         late_s = first_s - sorted(self._firsts)[len(self._firsts) // 2]
-        if len(self._waits) < _MIN_ROUNDS or late_s > self._clock.wall(self._max_lateness_s):
+        if len(self._waits) < _MIN_ROUNDS or late_s > self._max_lateness_s:
             return _UNANSWERED_S
         return max(_MARGIN * sorted(self._waits)[int(_SHARE * len(self._waits))], _LEAST_S)
 

@@ -18,9 +18,9 @@ from daq.drivers.microstrain.settings import MicroStrainNode
 from daq.drivers.microstrain.stream import BEACON_LAG
 from daq.errors import DeviceError
 
-_TRIES, _ANSWER_S = 3, 0.5  # wall seconds
+_TRIES, _ANSWER_S = 3, 0.5  # seconds
 _NODE_TRIES = 5  # of a command to a node, which the radio may lose
-_IDLE_S = 10.0  # wall s until a node is idle; unverified
+_IDLE_S = 10.0  # s until a node is idle; unverified
 _SUCCESS = 0
 _BASE = (wire.BASE_SUCCESS, wire.BASE_ERROR)
 _NODE = (wire.NODE_SUCCESS, wire.NODE_COMMAND, wire.NODE_ERROR)
@@ -137,7 +137,7 @@ class _Dialogue:
         """Wait until a second of the host's clock begins; return it, s since 1970."""
         clock = self._talk.clock
         second = clock.now_ns() // 10**9 + 1
-        clock.sleep(max(0, second * 10**9 - clock.now_ns()) * 1e-9)
+        clock.wait(max(0, second * 10**9 - clock.now_ns()) * 1e-9)
         return second
 
     def beacon_lag(self) -> dict[str, int]:
@@ -183,7 +183,7 @@ class _Dialogue:
         return None
 
     def _wait(self, fits: Callable[[Answer], bool], seconds: float = _ANSWER_S) -> Answer | None:
-        """Return the first fitting answer within a time, wall s; None without one."""
+        """Return the first fitting answer within a time, s; None without one."""
         clock = self._talk.clock
         deadline = clock.wall_s() + seconds
         while (left := deadline - clock.wall_s()) > 0:

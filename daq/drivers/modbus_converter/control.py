@@ -19,11 +19,11 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_MAX_REPORT_AGE_S = 0.5  # wall s after which a report is too old
-_ENABLE_S = 3.0  # wall s for the converter to run
-_OFF_S = 1.0  # wall s for the converter to switch its output off at rest
-_CONFIRM_S = 2.0  # wall s for the answers to some requests, with their repetitions
-_MIN_BEAT_S, _BEAT_S = 0.002, 0.004  # wall s, period of the thread that sends requests
+_MAX_REPORT_AGE_S = 0.5  # s after which a report is too old
+_ENABLE_S = 3.0  # s for the converter to run
+_OFF_S = 1.0  # s for the converter to switch its output off at rest
+_CONFIRM_S = 2.0  # s for the answers to some requests, with their repetitions
+_MIN_BEAT_S, _BEAT_S = 0.002, 0.004  # s, period of the thread that sends requests
 _SILENCES = (0.8, 1.25, 2.0, 4.0)  # silences after which the fault is looked for, in stated timeouts
 _MAX_RAMP_DEVIATION = 0.05  # relative deviation of the converter's ramp from the requested one
 _UNCONFIRMED = (
@@ -75,7 +75,7 @@ class ConverterControl:
         self._watch_set = False  # whether the converter may have a communication timeout from this host
         self._stops = 0  # number of stop commands: an `enable` that began before the last one fails
         self._ramp_rpm_per_s = settings.ramp_rpm_per_s
-        self._watchdog = settings.watchdog_counts(clock.patience(settings.watchdog_s))
+        self._watchdog = settings.watchdog_counts(settings.watchdog_s)
         self.dropped_out: str | None = None
         self.was_reset: str = ""
 
@@ -96,7 +96,7 @@ class ConverterControl:
 
     def _recent(self) -> Report | None:
         """Return the newest report unless it is too old."""
-        recent = self._clock.now_ns() - self._report_ns <= self._clock.patience(_MAX_REPORT_AGE_S) * 1e9
+        recent = self._clock.now_ns() - self._report_ns <= _MAX_REPORT_AGE_S * 1e9
         return self._report if recent else None
 
     @property
@@ -184,7 +184,7 @@ class ConverterControl:
         """
         if self._repeated is not None:  # from a line that was lost, or from an earlier start
             self._repeated.stop()
-        period_s = max(_MIN_BEAT_S, self._clock.wall(_BEAT_S))
+        period_s = max(_MIN_BEAT_S, _BEAT_S)
         # a lost link is reported by its reader; a converter without requests stops by its own timeout
         self._repeated = self._clock.every(period_s, self._line.beat, "requests", lambda error: None)
         self._line.polling = True
@@ -333,12 +333,12 @@ class ConverterControl:
         )
 
     def _stay_silent(self, seconds: float) -> float:
-        """Send no requests for some rig s, then read state and fault code; return how long it was."""
+        """Send no requests for some s, then read state and fault code; return how long it was."""
         self._line.polling = False
         try:
             self._wait(lambda: self._line.idle, lambda: None, "it does not answer. Look at its power and its line")
             begun_ns = self._line.sent_ns
-            self._clock.wait(self._clock.wall(seconds))
+            self._clock.wait(seconds)
             reports, end_ns = self._reports + 1, self._clock.now_ns()
         finally:
             self._line.polling = True

@@ -13,8 +13,8 @@ from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 
-_ANSWER_S = 0.005  # from the request to the answer, rig s
-_SILENCE_S = 0.02  # rig s after which received bytes are the beginning of another frame
+_ANSWER_S = 0.005  # from the request to the answer, s
+_SILENCE_S = 0.02  # s after which received bytes are the beginning of another frame
 _QUICK_RPM_S, _COAST_RPM_S = 4000.0, 30.0
 _MOST_REGISTERS = 16
 _NO_FUNCTION, _NO_REGISTER, _BAD_VALUE, _FAILED = 1, 2, 3, 4
@@ -173,7 +173,7 @@ class SimulatedConverter(FarEnd):
         self._server.words.clear()
         self._server.words.update(initial_words(self._settings))
         self._server.silence()
-        self._answers: list[tuple[float, bytes]] = []  # due times, rig s, and answers
+        self._answers: list[tuple[float, bytes]] = []  # due times, s, and answers
         self.state: str = "off"  # or "run", "stop" along the ramp, "quick" stop
         self._direction, self._fault, self._timed_out = 1, 0, False
         self._heard_s: float | None = None

@@ -64,7 +64,7 @@ class RequestLine:
     def __init__(self, settings: ModbusConverter, send: Callable[[bytes], None], clock: HostClock) -> None:
         function = settings.registers.read_function
         self._polls = [wire.Request(settings.address, function, *block) for block in settings.blocks]
-        self._period_s, self._answer_s = clock.wall(1 / settings.report_Hz), settings.answer_s
+        self._period_s, self._answer_s = 1 / settings.report_Hz, settings.answer_s
         self._pause_s = max(_SHORTEST_PAUSE_S, _PAUSE_BITS / settings.baud)
         self._send, self._clock = send, clock
         self._deciding, self._sending = threading.Lock(), threading.Lock()

@@ -18,7 +18,7 @@ from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 
 LATEST_S = 0.5
-"""Latest answer to a read after its request, rig s: an older state or speed gives no sample."""
+"""Latest answer to a read after its request, s: an older state or speed gives no sample."""
 
 Items = list[Batch | DeviceEvent]
 

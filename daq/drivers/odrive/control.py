@@ -18,10 +18,10 @@ from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import HostClock
 from rig_basics.texts import number_of
 
-_REQUEST_S = 0.3  # wall s between two requests of closed-loop control: a second one interrupts it for a moment
-_BRAKE_S = 1.0  # wall s of braking without effect after which the torque is removed
+_REQUEST_S = 0.3  # s between two requests of closed-loop control: a second one interrupts it for a moment
+_BRAKE_S = 1.0  # s of braking without effect after which the torque is removed
 _MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
-_REPORT_DELAY_S = 0.05  # wall s, longest time of a heartbeat from the controller to this process
+_REPORT_DELAY_S = 0.05  # s, longest time of a heartbeat from the controller to this process
 _MOST_MISSING = 10  # heartbeats in a row, counted in estimates, after which a driven axis is stopped
 _BRAKES = 0.9  # share of the first speed above which a rotor counts as not braked
 
@@ -127,7 +127,7 @@ class OdriveControl(RepeatedCommand):
         """Return the frames that request closed-loop control, unless it is reported or was just requested."""
         now_ns, beat, node = self._clock.now_ns(), self._beat, self._settings.node_id
         reached = beat is not None and beat.state == wire.CLOSED_LOOP and not beat.error
-        if reached or now_ns - self._requested_ns < self._clock.patience(_REQUEST_S) * 1e9:
+        if reached or now_ns - self._requested_ns < _REQUEST_S * 1e9:
             return []
         self._requested_ns = now_ns
         cleared = [wire.clear_errors(node)] if beat is not None and beat.error else []
@@ -136,7 +136,7 @@ class OdriveControl(RepeatedCommand):
     def _brakes_in_vain(self) -> bool:
         """Return whether the rotor has not become slower: then it is better without torque."""
         now_ns = self._clock.now_ns()
-        if now_ns - self._ordered_ns < self._clock.patience(_BRAKE_S) * 1e9 or not self._is_recent(self._report_ns):
+        if now_ns - self._ordered_ns < _BRAKE_S * 1e9 or not self._is_recent(self._report_ns):
             return False
         return abs(self._reported_rpm) > max(_BRAKES * self._brake_rpm, self._settings.rest_rpm)
 
@@ -188,17 +188,16 @@ class OdriveControl(RepeatedCommand):
         with self._sending:
             self._send(_text(wire.clear_errors(s.node_id)))
             fed_ns, fed_s = self._clock.now_ns(), self._clock.wall_s()
-        looked_s, delay_ns = fed_s, self._clock.patience(_REPORT_DELAY_S) * 1e9
-        own_s = self._clock.rig(1.0) / self._clock.patience(1.0)  # of the rig file's time-outs in a wall second
-        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s / own_s + 1.0, 0.0, False
+        looked_s, delay_ns = fed_s, _REPORT_DELAY_S * 1e9
+        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s + 1.0, 0.0, False
         while not expired and looked_s < end_s:
             self._clock.wait(0.002)
             before_s, looked_s = looked_s, self._clock.wall_s()
             longest_s = max(longest_s, looked_s - before_s)
             late = self._beat_ns - fed_ns > delay_ns  # an earlier one may have been sent before the error was cleared
             expired = late and self._beat is not None and bool(self._beat.error & watchdog)
-        resolution_s = self._clock.wall(s.heartbeat_ms * 1e-3) + _REPORT_DELAY_S + 2 * longest_s
-        return TimeOut(own_s * (looked_s - fed_s) if expired else None, s.watchdog_s, own_s * resolution_s)
+        resolution_s = s.heartbeat_ms * 1e-3 + _REPORT_DELAY_S + 2 * longest_s
+        return TimeOut(looked_s - fed_s if expired else None, s.watchdog_s, resolution_s)
 
     def _send_release(self) -> Callable[[], bool]:
         """Send the command to release the rotor; a later heartbeat in the state IDLE confirms it."""

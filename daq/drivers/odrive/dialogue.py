@@ -12,8 +12,8 @@ from daq.errors import DeviceError
 from daq.transports.can_frames import encode, open_bus
 from rig_basics.texts import number_of
 
-_REPORT_S = 2.0  # wall s for the first heartbeat and the first estimates
-_ANSWER_S, _TRIES = 0.3, 3  # wall s for an answer, and requests until it counts as missing
+_REPORT_S = 2.0  # s for the first heartbeat and the first estimates
+_ANSWER_S, _TRIES = 0.3, 3  # s for an answer, and requests until it counts as missing
 
 
 def identify(device: str, settings: Odrive, talk: Talk) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def _query(command: int, prefix: str, settings: Odrive, talk: Talk, tries: int) 
 
 
 def _reply(talk: Talk, deadline_s: float) -> str | None:
-    """Return the next reply; None if none arrives before a time, wall s."""
+    """Return the next reply; None if none arrives before a time, s."""
     left_s = deadline_s - talk.clock.wall_s()
     if left_s <= 0:
         return None

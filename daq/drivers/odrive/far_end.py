@@ -20,7 +20,7 @@ from rig_basics.units import RPM
 _LOOP_RPM_S = 2000.0  # acceleration of the speed loop at the current limit: faster than any ramp of the host
 _COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _BOOT_S = 0.3  # time from power-up to the first state of the axis
-_MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its reports afterwards
+_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its reports afterwards
 _SERIAL = bytes.fromhex("3D1E4C6A2B39")
 _UNDEFINED, _IDLE, _CLOSED_LOOP = 0, 1, 8
 _ERROR_BITS = {"0.5": {"watchdog": 1 << 11, "estop": 1 << 14}, "0.6": {"watchdog": 1 << 24, "estop": 1 << 25}}
@@ -32,7 +32,7 @@ class SimulatedOdrive(FarEnd):
     Args:
         settings: table of the controller in the rig file; the simulated controller has these values.
         motion: motion of the rotor.
-        watchdog_s: timeout of the watchdog, rig s; None: that of the settings; 0: the watchdog is off.
+        watchdog_s: timeout of the watchdog, s; None: that of the settings; 0: the watchdog is off.
 
     Attributes:
         errors: error codes of the axis so far.
@@ -84,8 +84,8 @@ class SimulatedOdrive(FarEnd):
 
     @classmethod
     def of(cls, settings: Odrive, world: World) -> SimulatedOdrive:
-        """Make the controller of a simulated rig; its watchdog is in wall time, as that of a real controller."""
-        return cls(settings, world.motion, watchdog_s=world.patience(settings.watchdog_s))
+        """Make the controller of a simulated rig."""
+        return cls(settings, world.motion, watchdog_s=settings.watchdog_s)
 
     def _start(self, now_s: float, booted_s: float = _BOOT_S) -> None:
         """Set the state after power-up."""

@@ -26,11 +26,11 @@ from daq.errors import DeviceError
 from rig_basics.texts import number_of
 
 _ANSWER_S = (1.0, 1.5)
-"""Waits for an answer after the first and after the repeated command, wall s; MASTERMV takes up to 2 s."""
-_QUIET_S = 0.25  # without a further answer, after which no late one follows; wall s
-_MOST_LATE_S = 2.0  # of a sensor that sends lines without end, wall s
+"""Waits for an answer after the first and after the repeated command, s; MASTERMV takes up to 2 s."""
+_QUIET_S = 0.25  # without a further answer, after which no late one follows; s
+_MOST_LATE_S = 2.0  # of a sensor that sends lines without end, s
 _MOST_BACKLOG_S = 10.0
-"""Time for the bytes that waited in buffers when the session began, wall s: 64 KiB take 5.7 s at 115 200 baud."""
+"""Time for the bytes that waited in buffers when the session began, s: 64 KiB take 5.7 s at 115 200 baud."""
 _ACCESS = re.compile(r"access|denied", re.IGNORECASE)
 _ARGUMENT = re.compile(r"parameter|argument|value|range|timeout", re.IGNORECASE)
 _REFUSAL = re.compile(r"E\d{2,}\b")  # two digits on an ILD2300, otherwise three
@@ -207,7 +207,7 @@ class _Dialogue:
         return bool(found) and name not in found
 
     def drop_answers(self, quiet_s: float) -> None:
-        """Remove answers until none has arrived for some wall seconds, or some more have passed."""
+        """Remove answers until none has arrived for some seconds, or some more have passed."""
         clock = self._talk.clock
         end_s = clock.wall_s() + _MOST_LATE_S
         try:

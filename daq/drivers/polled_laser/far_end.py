@@ -14,7 +14,7 @@ from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
-_ANSWER_S = 0.003  # from the request to the answer, rig s; the value is measured in the middle
+_ANSWER_S = 0.003  # from the request to the answer, s; the value is measured in the middle
 
 
 class SimulatedPolledLaser(FarEnd):

@@ -83,8 +83,8 @@ class SensorPoller(RequestLoop):
 
     Args:
         turns: the requests.
-        period_s: time from one request to the next, rig s.
-        answer_s: wall time after which a request is given up, s.
+        period_s: time from one request to the next, s.
+        answer_s: time after which a request is given up, s.
         send: writes bytes to the sensor's link, and to the log.
         clock: clock for the periods and the time-out.
     """

@@ -19,7 +19,7 @@ from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
 
-_ANSWER_S = 1.0  # wall seconds
+_ANSWER_S = 1.0  # seconds
 _TRIES = 3
 
 

@@ -76,7 +76,7 @@ class Air:
         self._flying.clear()
 
     def landed(self, now_s: float) -> list[tuple[float, bytes]]:
-        """Return the frames that have reached the dongle, with their arrival times, rig s."""
+        """Return the frames that have reached the dongle, with their arrival times, s."""
         out: list[tuple[float, bytes]] = []
         while self._flying and self._flying[0][0] <= now_s:
             arrival, number, payload = self._flying.popleft()

@@ -12,8 +12,8 @@ from daq.items import DeviceEvent
 from daq.transports.host_clock import HostClock
 
 _DEFAULT_NODE = 1
-_TRIES, _TRY_S, _CHECK_S = 20, 0.15, 0.02  # wall seconds
-_PINGS, _PING_EVERY_S = 20, 0.04  # wall seconds; the least of 20 is near the least delay of a radio with jitter
+_TRIES, _TRY_S, _CHECK_S = 20, 0.15, 0.02  # seconds
+_PINGS, _PING_EVERY_S = 20, 0.04  # seconds; the least of 20 is near the least delay of a radio with jitter
 _ACCEPTED, _ALREADY = 0, 4
 
 

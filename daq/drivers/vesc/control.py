@@ -22,7 +22,7 @@ __all__ = ["Mode", "VescControl"]
 _MOST_UNANSWERED = 8  # polls in a row, each repeated after ANSWER_S, after which a driven rotor is stopped
 _NO_ANSWER = f"{UNKNOWN} (no answer to {_MOST_UNANSWERED} polls)"
 _MOST_TIMEOUTS = 3  # timeouts of the rig file for which the measured one is awaited
-_DELAY_S = 0.05  # wall s, longest time of an answer from the controller to this process
+_DELAY_S = 0.05  # s, longest time of an answer from the controller to this process
 _STEP_S = 0.01  # period at which the controller examines its timeout [its firmware], s
 
 
@@ -122,7 +122,7 @@ class VescControl(RepeatedCommand):
     # --- commands ----------------------------------------------------------------------------------------------
 
     def _question(self, now_ns: int) -> bytes:
-        waited = self._polled_ns is None or now_ns - self._polled_ns > self._clock.patience(ANSWER_S) * 1e9
+        waited = self._polled_ns is None or now_ns - self._polled_ns > ANSWER_S * 1e9
         if not waited or now_ns < self._poll_due_ns:
             return b""
         if self._polled_ns is not None:  # counted, not timed: a host that was asleep has sent no polls
@@ -257,10 +257,9 @@ class VescControl(RepeatedCommand):
         with self._sending:
             self._send(self._commands.release())
             sent_ns, sent_s = self._clock.now_ns(), self._clock.wall_s()
-        delay_ns = self._clock.patience(_DELAY_S) * 1e9
+        delay_ns = _DELAY_S * 1e9
         looked_s, longest_s, obeyed, expired = sent_s, 0.0, False, False
-        own_s = self._clock.rig(1.0) / self._clock.patience(1.0)  # of the rig file's timeouts in a wall second
-        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s / own_s + 1.0
+        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s + 1.0
         while not expired and looked_s < end_s:
             self._clock.wait(0.002)
             before_s, looked_s = looked_s, self._clock.wall_s()
@@ -272,5 +271,5 @@ class VescControl(RepeatedCommand):
             expired = obeyed and timed_out
         if not obeyed:
             raise DeviceError("the command to release did not end its expired timeout: do commands reach it?")
-        resolution_s = self._clock.wall(1.0 / s.report_Hz) + _STEP_S + _DELAY_S + 2 * longest_s
-        return TimeOut(own_s * (looked_s - sent_s) if expired else None, s.timeout_s, own_s * resolution_s)
+        resolution_s = 1.0 / s.report_Hz + _STEP_S + _DELAY_S + 2 * longest_s
+        return TimeOut(looked_s - sent_s if expired else None, s.timeout_s, resolution_s)

@@ -11,7 +11,7 @@ from daq.drivers.vesc.settings import VescMotor
 from daq.errors import DeviceError
 from rig_basics.texts import number_of
 
-_ANSWER_S = 0.5  # wall seconds
+_ANSWER_S = 0.5  # seconds
 _TRIES = 3
 _MIN_MAJOR = 3  # first major version of the firmware whose answers have the layout in `wire`
 

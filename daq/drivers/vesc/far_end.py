@@ -28,7 +28,7 @@ class SimulatedVesc(FarEnd):
         settings: table of the controller in the rig file; the simulated controller has these values.
         motion: motion of the rotor.
         report_s: unused; a controller sends only answers.
-        timeout_s: timeout of the controller, rig s; None: that of the settings.
+        timeout_s: timeout of the controller, s; None: that of the settings.
         timeout_brake_A: brake current after the timeout, A; None: that of the host's own stop. The manufacturer's
             default is 0; then the rotor runs down.
         has_status: whether the firmware sends the status byte.
@@ -76,8 +76,8 @@ class SimulatedVesc(FarEnd):
 
     @classmethod
     def of(cls, settings: VescMotor, world: World) -> Self:
-        """Make the controller of a simulated rig; its timeout is in wall time, as that of a real controller."""
-        return cls(settings, world.motion, timeout_s=world.patience(settings.timeout_s))
+        """Make the controller of a simulated rig."""
+        return cls(settings, world.motion, timeout_s=settings.timeout_s)
 
     def facts(self) -> dict[str, Any]:
         """See FarEnd."""

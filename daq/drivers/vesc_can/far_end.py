@@ -13,7 +13,7 @@ from daq.drivers.vesc_can.settings import VescCan
 from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.motion import SimulatedMotion
 
-_MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its status afterwards
+_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its status afterwards
 _SERIAL_COMMAND = {1: 6, 2: 7, 3: 8}  # current, brake, speed: command on the bus and on the serial port
 
 

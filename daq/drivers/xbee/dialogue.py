@@ -10,7 +10,7 @@ from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
 
-_ANSWER_S, _TRIES = 0.5, 3  # wall seconds
+_ANSWER_S, _TRIES = 0.5, 3  # seconds
 _QUERIES = ("AP", "VR", "HV", "SH", "SL", "NP", "DB")
 
 

@@ -519,10 +519,10 @@ def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Pa
     sim.ask("turn", rpm=200.0, ramp_rpm_per_s=400.0)
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.sleep(4.0)
+        sim.clock.wait(4.0)
         session.stop_recording({})
         sim.ask("turn", rpm=0.0, ramp_rpm_per_s=400.0)
-        sim.clock.sleep(8.0)
+        sim.clock.wait(8.0)
     log = tmp_path / "a.mcap"
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:
