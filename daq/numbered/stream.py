@@ -39,7 +39,7 @@ _SILENT = 0.8
 _STARTS_NS = 100e6
 """Time that a sender needs at least to start again."""
 _RARE = 1e-4
-"""Share of its cycle by which a number may be late, as those after a new start are by chance, without doubt."""
+"""Share of its cycle by which a number of a radio, which delays its messages, may be late without doubt."""
 _MOST_WAITING = 4096
 
 
@@ -260,7 +260,7 @@ class NumberedStream(Generic[R]):
         is_same = self._behind(here) == 0 and (here.late_ns < -tolerance_ns or self._stands_still)
         if is_same or here.late_ns < -self._due.early_ns(here.at_ns):
             return self._too_early(here)
-        if here.late_ns <= max(tolerance_ns, _RARE * here.cycle_ns):
+        if here.late_ns <= (max(tolerance_ns, _RARE * here.cycle_ns) if self._ahead else tolerance_ns):
             return self._put([here], here.missing) if self._count.is_checked else self._wait(here, "jumped")
         cycles = self._cycles(here.late_ns, here.cycle_ns, here.at_ns)
         is_due = abs(here.late_ns - cycles * here.cycle_ns) <= tolerance_ns

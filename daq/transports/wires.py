@@ -338,10 +338,6 @@ class AdapterWire:
         self._offered = self._offered[self._wire.offer(self._offered) :] if self._offered else b""
         return 0 if self._offered else len(data)
 
-    def held_up(self) -> bool:
-        """See Wire."""
-        return self._wire.held_up()
-
     def connected(self) -> bool:
         """See Wire."""
         return self._wire.connected()

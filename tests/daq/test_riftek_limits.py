@@ -120,18 +120,6 @@ def test_a_read_that_begins_after_one_lost_result_has_a_gap() -> None:
     assert counters(items) == [*range(3001, 3020)]
 
 
-@pytest.mark.parametrize(("last_ns", "over"), [(249_999_999, False), (250_000_000, True)])
-def test_results_wait_for_exactly_a_quarter_of_a_second(last_ns: int, over: bool) -> None:
-    pipe = after_3_s()
-    first_ns = START_NS + 3_100 * MS
-    found: Items = []
-    for index, later_ns in enumerate((0, 100 * MS, 200 * MS, last_ns)):
-        assert found == []
-        numbers = np.arange(3000 + 20 * index, 3020 + 20 * index)
-        found = pipe.feed(RX, wire.results(codes_of(numbers), numbers), first_ns + later_ns)
-    assert bool(found) is over
-
-
 @pytest.mark.parametrize(("excess_ms", "waits"), [(80, 5), (97, 4)])
 def test_a_wait_begins_again_while_the_host_catches_up_by_more_than_the_guard(excess_ms: int, waits: int) -> None:
     """Of 100 ms at first; the guard is 3 ms. Reads every 130 ms: four of them are over a quarter of a second."""
@@ -149,16 +137,6 @@ def test_a_wait_begins_again_while_the_host_catches_up_by_more_than_the_guard(ex
         "host's time, ± 4"
     )
     assert gap.facts["uncertain_samples"] == 4
-
-
-@pytest.mark.parametrize(("more", "released"), [(20, False), (21, True)])
-def test_at_most_65536_results_wait(more: int, released: bool) -> None:
-    pipe = after_3_s()
-    many = [*range(3000, 3000 + 65_516)]
-    assert read(pipe, many, 400 * MS) == []
-    items = read(pipe, [*range(many[-1] + 1, many[-1] + 1 + more)], 400 * MS)
-    assert len(counters(items)) == (65_516 + more if released else 0)
-    assert events(items) == []
 
 
 def test_what_the_host_sends_ends_the_wait_without_a_loss() -> None:

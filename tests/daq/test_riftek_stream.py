@@ -299,20 +299,6 @@ def test_a_garbled_stretch_counts_by_its_bytes_as_far_as_time_has_room() -> None
     assert pipe.losses["bytes"] == 48
 
 
-@pytest.mark.parametrize(("early_ns", "at_once"), [(1_400_000, True), (1_600_000, False)])
-def test_time_has_room_for_garbled_results_to_one_and_a_half_periods(early_ns: int, at_once: bool) -> None:
-    """Four results of 1 ms are garbled in a read that comes earlier than the others; without room they count later."""
-    reads = reads_of(np.arange(4000), 1000.0, 0.0)
-    data, host_ns = reads[100]
-    reads[100] = data[:16] + bytes(byte ^ 0x80 for byte in data[16:32]) + data[32:], host_ns - early_ns
-    pipe = pipeline(laser())
-    batches, _ = feed(pipe, reads)
-    steps = np.diff(column(batches, "counter"))
-    (gap,) = np.flatnonzero(steps != 1)
-    assert (steps[gap], pipe.losses["samples"]) == (5, 4)
-    assert (gap == 100 * 20 + 3) == at_once
-
-
 def test_another_rate_than_the_files_is_no_loss() -> None:
     pipe = pipeline(laser(1000.0))
     batches, events = feed(pipe, reads_of(np.arange(6000), 500.0))

@@ -14,16 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 CODE_MAX = 65520
 """Largest distance code of an ILD1420; anything above is an error code."""
 
-OUT_OF_RANGE = (262077, 262078)
+TOO_MUCH_DATA, NO_PEAK, BEFORE_RANGE, BEHIND_RANGE = range(262075, 262079)
+"""Error codes of a line that is too slow, and of a target that is not seen, before or behind the measuring range."""
+OUT_OF_RANGE = (BEFORE_RANGE, BEHIND_RANGE)
 """Codes of a target before or behind the measuring range."""
 
 ERROR_CODES = {
     262073: "scaling underflow",
     262074: "scaling overflow",
-    262075: "too much data for the baud rate",
-    262076: "no peak",
-    262077: "peak before the measuring range",
-    262078: "peak behind the measuring range",
+    TOO_MUCH_DATA: "too much data for the baud rate",
+    NO_PEAK: "no peak",
+    BEFORE_RANGE: "peak before the measuring range",
+    BEHIND_RANGE: "peak behind the measuring range",
     262079: "cannot be calculated",
     262080: "cannot be calculated",
     262081: "peak too large",
@@ -32,15 +34,13 @@ ERROR_CODES = {
 """Distance words that are error codes, and their meaning (18 bits; never mask them to 16 bits before the test)."""
 
 REMEDIES = {
-    262075: "set a lower rate or a higher baud rate",
-    262077: "move the target away from the sensor",
-    262078: "move the target towards the sensor",
+    TOO_MUCH_DATA: "set a lower rate or a higher baud rate",
+    BEFORE_RANGE: "move the target away from the sensor",
+    BEHIND_RANGE: "move the target towards the sensor",
     262081: "reduce the reflected light",
     262082: "switch the laser on: LASERPOW FULL, its web page, or its input",
 }
 """What to do about error codes whose cause is known."""
-
-_NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 
 
 class Scaling(NamedTuple):
@@ -124,5 +124,5 @@ def code(metres: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SC
     """
     distance = np.asarray(metres, np.float64)
     exact = np.rint((distance * scaling.whole / range_m + scaling.zero) * (scaling.steps / scaling.span))
-    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > scaling.most, _BEHIND_RANGE, exact))
-    return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
+    words = np.where(exact < 0, BEFORE_RANGE, np.where(exact > scaling.most, BEHIND_RANGE, exact))
+    return np.where(np.isnan(exact), NO_PEAK, words).astype(np.uint32)

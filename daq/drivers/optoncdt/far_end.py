@@ -15,8 +15,6 @@ from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
-_ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD, _NO_PEAK = 262077, 262078, 262075, 262076
-
 
 class SimulatedLaser(FarEnd):
     """One sensor on its serial line.
@@ -34,7 +32,9 @@ class SimulatedLaser(FarEnd):
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
         "blocked": FaultKind("the beam is blocked: every distance is the code for no peak"),
-        "code": FaultKind("every distance is an error code", _NO_PEAK, meaning="the code", limits=(0, 2**18 - 1)),
+        "code": FaultKind(
+            "every distance is an error code", distance_words.NO_PEAK, meaning="the code", limits=(0, 2**18 - 1)
+        ),
     }
 
     def __init__(
@@ -90,7 +90,7 @@ class SimulatedLaser(FarEnd):
         """See FarEnd and `fault_kinds`; the value 0 ends either fault."""
         match what:
             case "blocked":
-                self.fault_code = _NO_PEAK if value else None
+                self.fault_code = distance_words.NO_PEAK if value else None
             case "code":
                 self.fault_code = int(value) or None
             case _:
@@ -110,8 +110,8 @@ class SimulatedLaser(FarEnd):
         half = 0.5 * self._config.range_m
         distance = np.clip(reading, -half, half) + half
         codes = distance_words.code(distance, self._config.range_m, self._scaling).astype(np.int64)
-        codes[reading > half] = _ERROR_BEHIND
-        codes[reading < -half] = _ERROR_BEFORE
+        codes[reading > half] = distance_words.BEHIND_RANGE
+        codes[reading < -half] = distance_words.BEFORE_RANGE
         if self.fault_code is not None:
             codes[:] = self.fault_code
         ticks = np.rint(device_s / optoncdt.TICK_S).astype(np.int64) % optoncdt.TIMESTAMP_WRAP
@@ -121,5 +121,5 @@ class SimulatedLaser(FarEnd):
         if "TIMESTAMP" in self._commands.outputs:
             columns += [ticks & 0xFFFF, ticks >> 16]
         if len(columns) * 30 * self._commands.rate_Hz > self._config.baud:
-            columns[0] = np.full_like(codes, _ERROR_BAUD)
+            columns[0] = np.full_like(codes, distance_words.TOO_MUCH_DATA)
         return np.column_stack(columns).astype(np.uint32)

@@ -80,11 +80,6 @@ class BlockDecoder:
         """Names of the columns of `DecodedBlocks.values`."""
         return self._words
 
-    @property
-    def idle(self) -> bool:
-        """Whether no block or line is incomplete: the next byte begins a block or a line."""
-        return not (self._pending or self._block or self._line)
-
     def set_words(self, words: Sequence[str]) -> None:
         """Select the output values from now on; an incomplete block is dropped and counted by the next `feed`.
 

@@ -22,7 +22,11 @@ _LEAST_NM = 300_000  # a word above those of the serial line
 _LEAST_RANGE_M = 2e-3  # of a sensor whose words are compared: a larger part of a smaller range is ambiguous
 _WATCHED_WORDS = 1000
 _NM_CODES = {"no peak": 0x7FFF_FFFB, "before": 0x7FFF_FFFA, "behind": 0x7FFF_FFF9}
-_SERIAL_CODES = {"no peak": 262_076, "before": 262_077, "behind": 262_078}
+_SERIAL_CODES = {
+    "no peak": distance_words.NO_PEAK,
+    "before": distance_words.BEFORE_RANGE,
+    "behind": distance_words.BEHIND_RANGE,
+}
 
 
 def codes_of(scaling: str) -> dict[str, int]:

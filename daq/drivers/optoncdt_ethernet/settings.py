@@ -6,10 +6,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from daq.drivers.optoncdt.settings import Word
 from daq.drivers.optoncdt_ethernet import wire
 from rig_configs.device import DisplacementSettings
-
-Word = Annotated[str, Field(strict=True, pattern=r"^[A-Z0-9_]{1,40}$")]
 
 
 class EthernetLaser(DisplacementSettings):
