@@ -32,14 +32,14 @@ from daq.channels import displacement_channel
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline
-from daq.drivers.dbc.settings import CanSensors
-from daq.drivers.dbc.stream import CanPipeline
 from daq.items import RX, Batch, joined
 from daq.log.file import LogFile
 from daq.transports.can_frames import decode as decode_records
 from daq.transports.host_clock import HostClock
 from daq.transports.link import open_link
 from daq.transports.slcan import HostText
+from rig_drivers.dbc.settings import CanSensors
+from rig_drivers.dbc.stream import CanPipeline
 
 _FLUSH_NS = 50_000_000
 _WRITE_BYTES = 4096

@@ -31,6 +31,7 @@ PACKAGES: tuple[str, ...] = (
     "reproduction",
     "rig_cli",
     "rig_configs",
+    "rig_drivers",
     "rig_testing",
     "studies",
     "uncertainty",

@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ABOVE = sorted(
     path
-    for package in ("daq", "identification", "analysis")
+    for package in ("daq", "rig_drivers", "identification", "analysis")
     for path in (ROOT / package).rglob("*.py")
     if not any(part in path.parts for part in ("transports", "virtual_rig", "lockstep", "far_end.py"))
 )

@@ -12,14 +12,14 @@ from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.words import WordsTrial
-from daq.drivers.riftek import wire as riftek
-from daq.drivers.riftek.decoder import ResultDecoder
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.vesc import packets, wire as vesc
-from daq.drivers.xbee import wire as xbee
-from daq.drivers.xbee.framing import ApiDecoder, DamagedPart, encode
 from daq.errors import DeviceError
 from daq.transports.can_frames import CanFrame
+from rig_drivers.riftek import wire as riftek
+from rig_drivers.riftek.decoder import ResultDecoder
+from rig_drivers.vesc import packets, wire as vesc
+from rig_drivers.xbee import wire as xbee
+from rig_drivers.xbee.framing import ApiDecoder, DamagedPart, encode
 
 WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 

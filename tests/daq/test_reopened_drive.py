@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from daq.acquisition.session import Session
-from daq.drivers.modbus_converter.control import ConverterControl
-from daq.drivers.modbus_converter.driver import DRIVER
 from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
+from rig_drivers.modbus_converter.control import ConverterControl
+from rig_drivers.modbus_converter.driver import DRIVER
 
 
 def test_a_drive_sends_nothing_by_itself_while_it_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:

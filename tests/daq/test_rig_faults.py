@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from daq.drivers.devices import make_pipelines
-from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
-from daq.drivers.vesc import wire as vesc
 from daq.items import RX, Batch
 from daq.transports.can_frames import CanFrame, encode, open_bus
 from daq.virtual_rig.faults import LINE_FAULTS, FaultInjector
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
+from rig_drivers.riftek import wire as riftek
+from rig_drivers.vesc import wire as vesc
 
 LASER_ON = b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n"
 RIFTEK_ON = riftek.request(1, riftek.START)

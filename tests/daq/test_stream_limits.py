@@ -16,18 +16,18 @@ from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import DescribesItself
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
-from daq.drivers.riftek import wire as riftek
-from daq.drivers.riftek.settings import RiftekLaser
-from daq.drivers.riftek.stream import RiftekPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.drivers.vesc import packets, stream as vesc_stream, wire as vesc
-from daq.drivers.vesc.settings import Vesc
-from daq.drivers.vesc.stream import VescPipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, encode
 from rig_configs import load_rig
+from rig_drivers.riftek import wire as riftek
+from rig_drivers.riftek.settings import RiftekLaser
+from rig_drivers.riftek.stream import RiftekPipeline
+from rig_drivers.vesc import packets, stream as vesc_stream, wire as vesc
+from rig_drivers.vesc.settings import Vesc
+from rig_drivers.vesc.stream import VescPipeline
 
 DEVICES = load_rig("virtual").devices
 DRIVE = DEVICES["drive"]

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from daq.drivers.vesc.driver import DRIVER
 from rig_cli.main import run
 from rig_configs.drivers import installed
+from rig_drivers.vesc.driver import DRIVER
 from rig_testing import examination, mutations
 from rig_testing.report import Failed
 

@@ -22,10 +22,10 @@ from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.driver import DRIVER as ROTORLINK
 from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.rotorlink.settings import EncoderNode
-from daq.drivers.vesc.control import VescControl
-from daq.drivers.vesc.driver import DRIVER as VESC
-from daq.drivers.vesc.far_end import SimulatedVesc
 from daq.items import RX, Batch, DeviceEvent
+from rig_drivers.vesc.control import VescControl
+from rig_drivers.vesc.driver import DRIVER as VESC
+from rig_drivers.vesc.far_end import SimulatedVesc
 from rig_testing.examination import CHECKS
 
 Items = list[Batch | DeviceEvent]

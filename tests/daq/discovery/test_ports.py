@@ -27,12 +27,12 @@ from daq.discovery.tables import Table, device_tables
 from daq.drivers.contract import DeviceLine
 from daq.drivers.driver import Driver
 from daq.drivers.identification import Announcement, FoundDevice, NetworkDevice
-from daq.drivers.labjack import identity
-from daq.drivers.labjack.identity import found as found_labjack
 from daq.drivers.registry import driver
-from daq.drivers.vesc.identity import announced
 from daq.errors import LinkLost
 from daq.transports import HostClock
+from rig_drivers.labjack import identity
+from rig_drivers.labjack.identity import found as found_labjack
+from rig_drivers.vesc.identity import announced
 
 # --- ports ---------------------------------------------------------------------------------------------------------
 

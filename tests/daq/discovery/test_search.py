@@ -16,11 +16,11 @@ from daq.discovery.search import PortSearch, Result
 from daq.discovery.trials import Trial, drivers_found, evidence_of, trials_of, usual_rate
 from daq.drivers.contract import DeviceLine
 from daq.drivers.driver import Driver
-from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
 from daq.transports.can_frames import CanFrame, encode, open_bus
 from daq.transports.slcan import encode as text_of
+from rig_drivers.riftek import wire as riftek
 from tests.daq.far_end_on_port import PORT, Cable, CableLink, SilentDevice, Source
 from tests.effort import cases, thorough
 

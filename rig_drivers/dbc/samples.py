@@ -1,0 +1,246 @@
+"""Displacements in the frames of one message, with the times of their sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import DEVICE_TICK_S, Channel
+from daq.clock import ClockMap, ClockSeed
+from daq.items import Batch, DeviceEvent
+from daq.numbered.messages import Count, Stretch
+from daq.numbered.stream import NumberedStream
+from rig_basics.texts import number_of
+from rig_drivers.dbc.layouts import MessageLayout, SignalLayout
+from rig_drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
+from rig_drivers.dbc.silence import SilenceWatch
+
+_TICK_NS = round(DEVICE_TICK_S * 1e9)
+_MOST_BITS = 62
+"""Bits of a counter or timestamp that are used, so that continuous numbers have 64."""
+
+Items = list[Batch | DeviceEvent]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames of one message.
+
+    Attributes:
+        data: uint8, shape (n, 8).
+        numbers: continuous numbers, int64, shape (n,), where they are known.
+    """
+
+    data: NDArray[np.uint8]
+    numbers: NDArray[np.int64]
+
+    def __getitem__(self, part: slice) -> Frames:
+        return Frames(self.data[part], self.numbers[part])
+
+    @staticmethod
+    def joined(parts: Sequence[Frames]) -> Frames:
+        """Join several."""
+        return Frames(np.concatenate([each.data for each in parts]), np.concatenate([each.numbers for each in parts]))
+
+
+class LaserStream:
+    """Decoder of the frames of one group. Displacement is 0 in the middle of the range.
+
+    Args:
+        by_topic: channels of the device.
+        seed: seed of the clock's map.
+        losses: losses of the device, which are counted here.
+
+    Attributes:
+        message: its message.
+        watch: watch of its silence.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        settings: CanSensors,
+        group: LaserGroup,
+        by_topic: Mapping[str, Channel],
+        seed: ClockSeed | None,
+        losses: dict[str, int],
+    ) -> None:
+        self.message: MessageLayout = group.message
+        self._device, self._group, self._losses = device, group, losses
+        self._lasers = [_Laser(settings, table, signal, by_topic[table.topic]) for table, signal in group.lasers]
+        table = group.lasers[0][0]
+        self._period_ns = 1e9 / table.rate_Hz
+        self._tolerance_ppm = table.clock_tolerance_ppm
+        self._clock = ClockMap(self._tolerance_ppm, seed)
+        self._frames = None if group.counter is None else self._counting(group.counter)
+        self._times = None if group.timestamp is None else self._timing(group.timestamp)
+        # a doubt, no fault: silent displacements are an interlock of the host
+        self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, "doubt")
+        self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one
+
+    def _counting(self, counter: SignalLayout) -> NumberedStream[Frames]:
+        """Return the order of frames by their counter; a timestamp shows how often it begins again in a gap."""
+        timestamp, tick_ns = self._group.timestamp, self._group.tick_ns
+        clock = (0, 1.0) if timestamp is None else (_size(timestamp), self._period_ns / tick_ns)
+        return NumberedStream(Count(_size(counter), self._period_ns, 1.0, *clock, is_checked=False), Frames.joined)
+
+    def _timing(self, timestamp: SignalLayout) -> NumberedStream[Frames]:
+        """Return the order of frames by their timestamp."""
+        step = self._period_ns / self._group.tick_ns
+        return NumberedStream(Count(_size(timestamp), self._period_ns, step, is_checked=False), Frames.joined)
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See HasClockSeed."""
+        group = self._group
+        if group.timestamp is not None:
+            return self._clock.seed(round(_size(group.timestamp) * group.tick_ns))
+        return None if group.counter is None else self._clock.seed(round(_size(group.counter) * self._period_ns))
+
+    def feed(self, data: NDArray[np.uint8], host_ns: int) -> Items:
+        """Decode frames of the message, shape (n, 8)."""
+        there = self._lasers[0].signal.present(data)
+        data = data if bool(there.all()) else data[there]
+        if not len(data):
+            return []
+        out: Items = [*self.watch.heard(host_ns)]
+        counter, timestamp = self._group.counter, self._group.timestamp
+        frames = Frames(data, np.arange(self._number, self._number + len(data)))
+        if self._frames is not None and counter is not None:
+            times = None if timestamp is None else _numbers(timestamp, data)
+            return out + self._counted(self._frames, self._frames.feed(_numbers(counter, data), frames, host_ns, times))
+        self._number += len(data)
+        if self._times is not None:
+            return out + self._stamped(self._times, self._times_of(self._times, frames, host_ns), None)
+        return out + self._batches(frames, None, host_ns)
+
+    def rest(self) -> Items:
+        """Decode the frames that still wait at the end of a log."""
+        out = [] if self._frames is None else self._counted(self._frames, self._frames.end())
+        return out if self._times is None else out + self._stamped(self._times, self._times.end(), self._frames)
+
+    def _times_of(self, times: NumberedStream[Frames], frames: Frames, host_ns: int) -> list[Stretch[Frames]]:
+        assert self._group.timestamp is not None
+        return times.feed(_numbers(self._group.timestamp, frames.data), frames, host_ns)
+
+    def _counted(self, order: NumberedStream[Frames], found: list[Stretch[Frames]]) -> Items:
+        """Return the samples of frames that are placed by their counter."""
+        out = self._damaged(order)
+        for stretch in found:
+            if stretch.is_restart and self._times is not None:  # frames before it whose times wait
+                out += self._stamped(self._times, self._times.end(), order)
+            out += self._lost(stretch)
+            frames = Frames(stretch.rows.data, stretch.numbers)
+            if stretch.is_restart:
+                out += self._started_again()
+                self._times = None if self._group.timestamp is None else self._timing(self._group.timestamp)
+            if self._times is not None:
+                out += self._stamped(self._times, self._times_of(self._times, frames, stretch.host_ns), order)
+            else:
+                own_ns = np.rint(stretch.numbers * self._period_ns).astype(np.int64)
+                out += self._batches(frames, own_ns, stretch.host_ns)
+        return out
+
+    def _stamped(
+        self, times: NumberedStream[Frames], found: list[Stretch[Frames]], order: NumberedStream[Frames] | None
+    ) -> Items:
+        """Return the samples of frames that are placed by their timestamps, or have them besides their counter."""
+        out = self._damaged(times)
+        for stretch in found:
+            if order is None:
+                out += self._lost(stretch)
+            if stretch.is_restart:
+                out += self._started_again()
+            own_ns = np.rint(stretch.numbers * self._group.tick_ns).astype(np.int64)
+            out += self._batches(stretch.rows, own_ns, stretch.host_ns)
+        return out
+
+    def _started_again(self) -> Items:
+        self._clock = ClockMap(self._tolerance_ppm)
+        text = f"the numbers of {self.message.name} do not continue: the sensor started again"
+        return [DeviceEvent("restart", self._device, text)]
+
+    def _batches(self, frames: Frames, own_ns: NDArray[np.int64] | None, host_ns: int) -> Items:
+        """Return samples; `own_ns` are their times on the sensor's clock, ns, shape (n,)."""
+        data = frames.data
+        time_ns = self._host_times(len(data), host_ns)
+        if own_ns is None:
+            own_ns = time_ns
+        else:
+            time_ns = self._clock.map(own_ns, host_ns)
+            if time_ns[0] <= self._last_ns:  # a new map of a sensor that started again
+                time_ns = np.maximum(time_ns, self._last_ns + 1 + np.arange(len(time_ns)))
+        self._last_ns = int(time_ns[-1])
+        sequence = (frames.numbers % 2**32).astype(np.uint32)
+        ticks = (own_ns // _TICK_NS).astype(np.uint64)
+        out: Items = []
+        for laser in self._lasers:
+            columns, invalid = laser.columns(data)
+            self._losses["invalid"] += invalid
+            more = {"counter": sequence, "device_ticks": ticks, "flags": np.zeros(len(data), np.uint32)}
+            out.append(Batch(laser.channel, time_ns, sequence, columns | more))
+        return out
+
+    def _host_times(self, count: int, host_ns: int) -> NDArray[np.int64]:
+        """Return increasing times of samples of which the last arrived at the time of the read, shape (n,)."""
+        spread = host_ns - np.rint(np.arange(count - 1, -1, -1) * self._period_ns).astype(np.int64)
+        return np.maximum(spread, self._last_ns + 1 + np.arange(count))
+
+    def _lost(self, stretch: Stretch[Frames]) -> Items:
+        """Count lost frames and return their event."""
+        if not stretch.lost:
+            return []
+        samples, span_s = stretch.lost * len(self._lasers), stretch.lost * self._period_ns * 1e-9
+        self._losses["samples"] += samples
+        facts: dict[str, Any] = {"samples": samples, "span_s": span_s}
+        if stretch.is_about:
+            facts["uncertain_samples"] = samples
+        about = "about " if stretch.is_about else ""
+        text = f"{about}{number_of(stretch.lost, 'frame')} of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
+        return [DeviceEvent("gap", self._device, text, facts)]
+
+    def _damaged(self, order: NumberedStream[Frames]) -> Items:
+        """Count the frames that were dropped since the last call, and return their event."""
+        dropped, order.damaged = order.damaged, 0
+        if not dropped:
+            return []
+        self._losses["doubtful_frames"] += dropped
+        if order is self._times and self._frames is not None:  # their counter does not show that they are missing
+            self._losses["samples"] += dropped * len(self._lasers)
+        text = f"{number_of(dropped, 'frame')} of {self.message.name} dropped: their number or time cannot be right"
+        return [DeviceEvent("damage", self._device, text, {"frames": dropped})]
+
+
+def _size(number: SignalLayout) -> int:
+    """Return the number of different values of a counter or timestamp."""
+    return 2 ** min(number.bits.length, _MOST_BITS)
+
+
+def _numbers(number: SignalLayout, data: NDArray[np.uint8]) -> NDArray[np.int64]:
+    return number.raw(data) & (_size(number) - 1)
+
+
+class _Laser:
+    """Conversion of one signal to a displacement."""
+
+    def __init__(self, settings: CanSensors, table: LaserSignal, signal: SignalLayout, channel: Channel) -> None:
+        self.signal, self.channel = signal, channel
+        sign = 1.0 if table.positive == "away" else -1.0
+        self._sensor_m = sign * settings.unit_m(table, signal)
+        self._middle, self._lever, self._half_m = table.middle, table.lever_ratio, 0.5 * table.range_m
+        self._invalid = np.array(settings.invalid_raw(table.invalid, signal), np.int64)
+
+    def columns(self, data: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], int]:
+        """Return displacement, m, and raw number of each frame, and the number of samples without a reading."""
+        raw = self.signal.raw(data)
+        from_middle = (self.signal.values(data) - self._middle) * self._sensor_m
+        reading = np.abs(from_middle) <= self._half_m  # False for NaN
+        if len(self._invalid):
+            reading &= ~np.isin(raw, self._invalid)
+        displacement = np.where(reading, from_middle, np.nan) / self._lever
+        code = (raw & 0xFFFFFFFF).astype(np.uint32)
+        return {"displacement_m": displacement, "code": code}, int(np.count_nonzero(~reading))

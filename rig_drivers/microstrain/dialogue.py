@@ -1,0 +1,200 @@
+"""Opening and stop of a node: base station and node are identified, the node is started, then the beacon.
+
+A node that samples does not answer, so it is set to idle first. Its set-up (rate, channels) is read and compared with
+the rig file; nothing is written to its EEPROM.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.errors import DeviceError
+from rig_drivers.microstrain import wire
+from rig_drivers.microstrain.answers import Answer, beacon_of
+from rig_drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
+from rig_drivers.microstrain.settings import MicroStrainNode
+from rig_drivers.microstrain.stream import BEACON_LAG
+
+_TRIES, _ANSWER_S = 3, 0.5  # seconds
+_NODE_TRIES = 5  # of a command to a node, which the radio may lose
+_IDLE_S = 10.0  # s until a node is idle; unverified
+_SUCCESS = 0
+_BASE = (wire.BASE_SUCCESS, wire.BASE_ERROR)
+_NODE = (wire.NODE_SUCCESS, wire.NODE_COMMAND, wire.NODE_ERROR)
+
+
+def open_node(device: str, settings: MicroStrainNode, talk: Talk) -> dict[str, Any]:
+    """Identify base station and node, start synchronized sampling, and set the beacon to the host's time.
+
+    Returns:
+        Identity: serial, firmware, base_serial, base_firmware (texts) and beacon_lag_ns.
+
+    Raises:
+        DeviceError: no answer, another node than the rig file's, or a node that is set up otherwise.
+    """
+    dialogue = _Dialogue(device, settings, talk)
+    dialogue.ping()
+    base = dialogue.identity(BASE_ADDRESS)
+    if not dialogue.set_to_idle():
+        raise DeviceError(
+            f"{device}: node {settings.node_address} did not become idle within {_IDLE_S:g} s. Is it switched on, is "
+            "node_address right, and does the base station use its radio channel?"
+        )
+    talk.restart_decoding()
+    node = dialogue.identity(settings.node_address)
+    if settings.serial and node["serial"] != settings.serial:
+        raise DeviceError(
+            f"{device}: node {settings.node_address} has the serial number {node['serial']}, the rig file states "
+            f"{settings.serial}. Correct devices.{device}.serial, or use the right node and its calibration"
+        )
+    dialogue.compare_setup()
+    dialogue.set_beacon(wire.BEACON_OFF)
+    dialogue.start()
+    dialogue.set_beacon(dialogue.next_second())
+    base_names = {f"base_{name}": value for name, value in base.items()}
+    return {"driver": "microstrain", "port": settings.port, **node, **base_names, **dialogue.beacon_lag()}
+
+
+def stop_node(settings: MicroStrainNode, talk: Talk) -> None:
+    """Set the node to idle, then switch the beacon off.
+
+    Raises:
+        DeviceError: the node does not confirm that it is idle; the beacon was switched off.
+    """
+    dialogue = _Dialogue(settings.port, settings, talk)
+    idle = dialogue.set_to_idle()
+    dialogue.set_beacon(wire.BEACON_OFF)
+    if not idle:
+        raise DeviceError(
+            f"{settings.port}: node {settings.node_address} does not confirm that it is idle. Without the beacon it "
+            "stops by itself after its own timeout; its battery is used until then"
+        )
+
+
+class _Dialogue:
+    """Requests and answers; an answer belongs to a request by its command and its first arguments."""
+
+    def __init__(self, device: str, settings: MicroStrainNode, talk: Talk) -> None:
+        self._device, self._settings, self._talk = device, settings, talk
+
+    def ping(self) -> None:
+        """Ping the base station."""
+        if self._ask(BASE_ADDRESS, wire.PING) is None:
+            raise DeviceError(
+                f"{self._device} on {self._settings.port}: no base station answers a ping in {_TRIES} tries. Check "
+                f"that it has power, baud = {self._settings.baud} (usual: 921600 by USB, 115200 by RS-232), and aspp = "
+                f"{self._settings.aspp} (older base stations: 1, newer ones: 3)"
+            )
+
+    def identity(self, address: int) -> dict[str, str]:
+        """Return serial number and firmware of the base station or of a node."""
+        model, option, high, low = (self._read(address, place) for place in wire.IDENTITY_PLACES)
+        return {
+            "serial": wire.serial_number(model, option, high, low),
+            "firmware": wire.firmware_version(self._read(address, wire.FIRMWARE)),
+        }
+
+    def compare_setup(self) -> None:
+        """Compare the node's rate and channels with the rig file."""
+        settings, node = self._settings, self._settings.node_address
+        code, mask = self._read(node, wire.SAMPLE_RATE), self._read(node, wire.CHANNEL_MASK)
+        if RATES_HZ.get(code) != settings.rate_Hz:
+            raise DeviceError(
+                f"{self._device}: the rig file states rate_Hz = {settings.rate_Hz}, node {node} is set to "
+                f"{RATES_HZ.get(code, f'rate code {code}')}. Correct devices.{self._device}.rate_Hz, or set up the node"
+            )
+        if missing := [number for number in settings.used_channels if not mask >> (number - 1) & 1]:
+            raise DeviceError(
+                f"{self._device}: channel {', '.join(map(str, missing))} of node {node} is not active. Activate it in "
+                "the node's set-up, or correct the channels in the rig file"
+            )
+
+    def set_to_idle(self) -> bool:
+        """Command the base station to set the node to idle; return whether the node is idle."""
+        argument = wire.node_bytes(self._settings.aspp, self._settings.node_address)
+        request = wire.request(self._settings.aspp, BASE_ADDRESS, wire.SET_TO_IDLE, argument)
+        expected = wire.SET_TO_IDLE.to_bytes(2, "big") + argument
+        self._drop_replies()
+        self._talk.send(request)
+        found = self._wait(lambda a: a.kind == wire.BASE_SUCCESS and a.payload[:-1] == expected, _IDLE_S)
+        return found is not None and found.payload[-1] == _SUCCESS
+
+    def start(self) -> None:
+        """Start synchronized sampling; the node waits for the beacon."""
+        node = self._settings.node_address
+        if self._ask(node, wire.START_SYNC) is None:
+            raise DeviceError(f"{self._device}: node {node} does not confirm the start of synchronized sampling")
+
+    def set_beacon(self, utc_s: int) -> None:
+        """Set the beacon's time, s since 1970, or switch it off."""
+        if self._ask(BASE_ADDRESS, wire.SET_BEACON, utc_s.to_bytes(4, "big")) is None:
+            raise DeviceError(f"{self._device}: the base station does not confirm the command to set its beacon")
+
+    def next_second(self) -> int:
+        """Wait until a second of the host's clock begins; return it, s since 1970."""
+        clock = self._talk.clock
+        second = clock.now_ns() // 10**9 + 1
+        clock.wait(max(0, second * 10**9 - clock.now_ns()) * 1e-9)
+        return second
+
+    def beacon_lag(self) -> dict[str, int]:
+        """Return the host's time minus the beacon's as part of the identity; empty without an answer."""
+        answer = self._ask(BASE_ADDRESS, wire.BEACON_STATUS)
+        beacon = None if answer is None else beacon_of(answer)
+        if answer is None or beacon is None or not beacon.is_on:
+            return {}
+        return {BEACON_LAG: answer.host_ns - beacon.time_ns}
+
+    def _read(self, address: int, place: int) -> int:
+        """Return a word of the EEPROM of the base station or of a node."""
+        command = wire.BASE_READ if address == BASE_ADDRESS else wire.NODE_READ
+        answer = self._ask(address, command, place.to_bytes(2, "big"))
+        if answer is None or len(answer.payload) != 6:
+            who = "the base station" if address == BASE_ADDRESS else f"node {address}"
+            raise DeviceError(f"{self._device}: {who} does not answer the query of its EEPROM at {place}")
+        return int.from_bytes(answer.payload[4:], "big")
+
+    def _ask(self, address: int, command: int, data: bytes = b"") -> Answer | None:
+        """Repeat a request until it is answered; return the answer, None without one.
+
+        Raises:
+            DeviceError: the request is refused.
+        """
+        to_base = address == BASE_ADDRESS
+        kinds = _BASE if to_base else _NODE
+        status = command == wire.BEACON_STATUS
+        start = command.to_bytes(2, "big") + data
+        self._drop_replies()
+        for _ in range(_TRIES if to_base else _NODE_TRIES):
+            self._talk.send(wire.request(self._settings.aspp, address, command, data))
+            answer = self._wait(lambda a: (a.address, a.payload[: len(start)]) == (address, start) and a.kind in kinds)
+            if answer is None:
+                continue
+            if answer.kind in (wire.BASE_ERROR, wire.NODE_ERROR) and not status:
+                who = "the base station" if to_base else f"node {address}"
+                raise DeviceError(
+                    f"{self._device}: {who} refuses command {command:04X}h with code {answer.payload[-1]}: "
+                    f"{wire.ERRORS.get(answer.payload[-1], 'unknown')}"
+                )
+            return answer
+        return None
+
+    def _wait(self, fits: Callable[[Answer], bool], seconds: float = _ANSWER_S) -> Answer | None:
+        """Return the first fitting answer within a time, s; None without one."""
+        clock = self._talk.clock
+        deadline = clock.wall_s() + seconds
+        while (left := deadline - clock.wall_s()) > 0:
+            try:
+                answer = Answer.of_text(self._talk.replies.get(timeout=left))
+            except queue.Empty:  # usual: no answer in time
+                break
+            if fits(answer):
+                return answer
+        return None
+
+    def _drop_replies(self) -> None:
+        while not self._talk.replies.empty():
+            self._talk.replies.get_nowait()

@@ -1,0 +1,36 @@
+"""Checks of a converter that do not use its speed: its state, its faults, and the requests that it refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import Pipeline, SpeedControl
+from daq.items import DeviceEvent
+from rig_drivers.modbus_converter import states
+from rig_drivers.modbus_converter.stream import ConverterPipeline
+
+
+def converter_checks(pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+    """Return the checks of an open converter.
+
+    Args:
+        pipeline: pipeline of the converter.
+        control: command of the converter; None if its bytes are only received.
+        events: events of the converter during the check.
+    """
+    out: Checks = {}
+    if control is not None:
+        state = control.state
+        note = "" if state != states.FAULT else states.fault_text(control.fault_code() or 0)
+        out["state"] = DeviceCheck(state, "no fault", state not in (states.FAULT, states.UNKNOWN), note)
+    emergencies = [event for event in events if event.kind == "emergency"]
+    faults = [e.text for e in emergencies if e.facts["error_code"] or e.facts.get("restart")]
+    out["emergencies"] = DeviceCheck(", ".join(faults) or "none", "none", not faults)
+    refused = [event.text for event in events if event.kind == "refused"]
+    note = "compare the register table with its manual" if refused else ""
+    out["refused_requests"] = DeviceCheck(len(refused), 0, not refused, note)
+    if isinstance(pipeline, ConverterPipeline) and pipeline.echoes:
+        note = "the adapter returns the host's own bytes; they are dropped. Switch the echo off if the adapter can"
+        out["echo"] = DeviceCheck("yes", "no or yes", True, note)
+    return out

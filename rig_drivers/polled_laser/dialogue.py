@@ -1,0 +1,60 @@
+"""Opening of a polled displacement sensor: requests until it answers one."""
+
+from __future__ import annotations
+
+import queue
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.errors import DeviceError
+from rig_drivers.polled_laser import wire
+from rig_drivers.polled_laser.settings import PolledLaser
+
+ANSWER_S = 0.5
+"""Wall time within which the sensor answers a request, s."""
+_TRIES = 4
+
+
+def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
+    """Request a value until the sensor answers.
+
+    Returns:
+        Identity: dialect and output. The sensor reports neither its model nor its serial number.
+
+    Raises:
+        DeviceError: the sensor does not answer, or refuses the request.
+    """
+    dialect = wire.DIALECTS[settings.dialect]
+    request = dialect.request(settings.output)
+    while not talk.replies.empty():
+        talk.replies.get_nowait()
+    refusal = other = ""
+    for _ in range(_TRIES):
+        talk.send(request)
+        try:
+            answer = talk.replies.get(timeout=ANSWER_S).encode("latin-1")
+        except queue.Empty:  # usual: the first answer may be lost
+            continue
+        found = dialect.parse(answer, settings.output)
+        if isinstance(found, wire.Reading):
+            return {"dialect": settings.dialect, "output": settings.output}
+        if isinstance(found, wire.Refusal):  # the first request may have been joined to the rest of an earlier one
+            refusal = f"got {answer!r}: {found.why}"
+        elif found is None:
+            other = repr(answer)
+    if refusal:
+        raise DeviceError(
+            f"{device} on {settings.port}: expected a value for {request!r}, {refusal}. Check "
+            f"devices.{device}.output, and that the sensor is in its measuring state"
+        )
+    if other:
+        raise DeviceError(
+            f"{device} on {settings.port}: expected an answer to {request!r} from a {dialect.sensors}, output "
+            f"{settings.output}, got {other}. Check devices.{device}.dialect and output (of an HL-G1 its address), "
+            "baud and parity, and that the sensor sends only on request"
+        )
+    raise DeviceError(
+        f"{device} on {settings.port}: no answer to {request!r} in {_TRIES} tries. Is it a {dialect.sensors} with "
+        f"output {settings.output} (of an HL-G1 its address), {settings.baud} baud, parity {settings.parity}, and does "
+        "the line carry both directions?"
+    )

@@ -1,0 +1,87 @@
+"""VESC motor controllers as a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from daq.drivers.checks import Checks
+from daq.drivers.contract import Pipeline, SpeedControl, Talk
+from daq.drivers.driver import Driver, parts_of
+from daq.drivers.identification import Announcement
+from daq.drivers.plain import motor_channels
+from daq.drivers.played import PlayedDevice
+from daq.drivers.simulated import FarEnd
+from daq.items import DeviceEvent
+from rig_drivers.vesc.settings import Vesc, VescMotor
+
+_FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
+EXAMPLE = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
+
+
+def words(event: DeviceEvent) -> str:
+    """Return the text of a fault; empty if it has ended."""
+    from rig_drivers.vesc import wire
+
+    code = int(event.facts["error_code"])
+    return wire.fault_words(code) if code else ""
+
+
+def checks(settings: VescMotor, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+    """Return the controller's state, and the faults it reported."""
+    from daq.drivers.fault_checks import controller_checks
+    from rig_drivers.vesc.wire import fault_words
+
+    return controller_checks(control, events, fault_words, _FAULTY)
+
+
+def _pipeline(device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
+    from rig_drivers.vesc.stream import SerialLine, VescPipeline
+
+    return VescPipeline(device, settings, SerialLine)
+
+
+def _far_end(device: str, settings: Vesc, world: Any) -> FarEnd:
+    from rig_drivers.vesc.far_end import SimulatedVesc
+
+    return SimulatedVesc.of(settings, world)
+
+
+def _played(settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
+    from rig_drivers.vesc.played import PlayedVesc
+
+    return PlayedVesc(identity)
+
+
+def _open(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
+    """Query the controller. It reports only on request, by its command (`control`)."""
+    from rig_drivers.vesc import wire
+    from rig_drivers.vesc.dialogue import identify
+
+    advice = f"Is the controller powered, its serial port enabled at {settings.baud} baud, are both wires right?"
+    return {"driver": "vesc", **identify(device, settings, talk, wire.firmware_version(), advice)}
+
+
+def _announcement() -> Announcement:
+    from rig_drivers.vesc.identity import ANNOUNCEMENT
+
+    return ANNOUNCEMENT
+
+
+_part = parts_of("rig_drivers.vesc")
+DRIVER = Driver(
+    name="vesc",
+    settings=Vesc,
+    example=EXAMPLE,
+    claims=frozenset({"checksum", "falls silent"}),
+    channels=motor_channels,
+    pipeline=_pipeline,
+    words=words,
+    checks=checks,
+    far_end=_far_end,
+    played=_played,
+    open=_open,
+    speed_source=_part("control:VescControl"),
+    identity_request=_part("identity:identity_turns"),
+    announcement=_announcement,
+)

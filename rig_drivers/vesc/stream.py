@@ -1,0 +1,238 @@
+"""Pipeline of a VESC: bytes in both directions to speed, fault and the last command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from daq import channels
+from daq.drivers.following import Following, SlowingDown
+from daq.items import TX, Batch, DeviceEvent
+from rig_basics.texts import number_of
+from rig_drivers.vesc import packets, wire
+from rig_drivers.vesc.settings import VescMotor
+
+NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
+"""The last command to the controller, as in the statusword."""
+STATUS_KNOWN = 1 << 24
+
+_COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
+_JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
+
+
+def statusword(values: wire.Values, command: int) -> int:
+    """Return the state of a report as it is stored in the log.
+
+    Bits 0–7: fault code. Bits 8–9: last command of the host (NOTHING, SPEED, BRAKE, FREE). Bits 16–23: status byte,
+    valid if bit 24 is set.
+    """
+    status = 0 if values.status is None else values.status << 16 | STATUS_KNOWN
+    return values.fault | command << 8 | status
+
+
+def state(word: int) -> str:
+    """Return the state of a statusword as text."""
+    status = word >> 16 & 0xFF
+    if word & 0xFF:
+        return "FAULT"
+    if status & wire.KILL_SWITCH:
+        return "KILL SWITCH OPEN"
+    if status & wire.TIMED_OUT:
+        return "TIMED OUT"
+    return {NOTHING: "NOT COMMANDED", SPEED: "HOLDS SPEED", BRAKE: "BRAKES", FREE: "RELEASED"}[word >> 8 & 3]
+
+
+class VescLine(Protocol):
+    """The line of a controller: framing of the payloads in both directions.
+
+    Attributes:
+        speeds_erpm: electrical speeds, rpm, that the last `received` contained in addition to answers.
+        others: payloads of another host in the last `received`, in a session that only receives.
+    """
+
+    speeds_erpm: list[int]
+    others: list[bytes]
+
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """Return the payloads in the bytes of one read, and events of the line."""
+        ...
+
+    def sent(self, data: bytes) -> list[bytes]:
+        """Return the payloads in the bytes of one write."""
+        ...
+
+
+class SerialLine:
+    """See VescLine: packets on a serial port. Bytes outside intact packets are counted as `damaged_bytes`."""
+
+    def __init__(self, device: str, losses: dict[str, int]) -> None:
+        self.speeds_erpm: list[int] = []
+        self.others: list[bytes] = []
+        self._device, self._losses = device, losses
+        losses["damaged_bytes"] = 0
+        self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
+
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """See VescLine."""
+        found = self._rx.feed(data)
+        if not found.skipped:
+            return found.payloads, []
+        self._losses["damaged_bytes"] += found.skipped
+        text = f"{number_of(found.skipped, 'damaged byte')} dropped"
+        return found.payloads, [DeviceEvent("damage", self._device, text, {"bytes": found.skipped})]
+
+    def sent(self, data: bytes) -> list[bytes]:
+        """See VescLine."""
+        return self._tx.feed(data).payloads
+
+
+class VescPipeline:
+    """Decoder of bytes to reports.
+
+    A controller has no clock and does not number its answers. Samples get the host's time. A poll that was not answered
+    before the next poll counts as a loss until its answer arrives late: each poll has one answer, and their order is
+    kept.
+
+    Attributes:
+        losses: see Pipeline.
+        answers: reports of the last `feed`, for the host's command.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        settings: VescMotor,
+        line: Callable[[str, dict[str, int]], VescLine] = SerialLine,
+    ) -> None:
+        self.losses: dict[str, int] = {}
+        self._line = line(device, self.losses)
+        self.losses |= {"unanswered": 0, "unreadable_answers": 0}
+        self.answers: list[wire.Values] = []
+        self._device, self._pole_pairs = device, settings.pole_pairs
+        self._target_rpm, self._command = 0.0, NOTHING
+        self._polled = False
+        self._unanswered = 0  # since the last answer
+        self._late = 0  # polls counted as a loss whose answers may still arrive
+        self._early = 0  # answers that may still arrive to a poll before a release
+        self._last: wire.Values | None = None
+        self._word: int | None = None
+        max_reports = round(settings.follow_s * settings.report_Hz)
+        self._following = Following(device, max_reports)
+        self._slowing = SlowingDown(device, max_reports)
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
+        """See Pipeline."""
+        self.answers = []
+        if direction == TX:
+            for payload in self._line.sent(data):
+                self._sent(payload)
+            return []
+        payloads, events = self._line.received(data, host_ns)
+        out: list[Batch | DeviceEvent] = [*events]
+        if any(event.kind == "restart" for event in events):
+            self._last = None  # its smaller counters are the same restart
+        words: list[int] = []
+        for payload in payloads:
+            if payload[0] == wire.GET_VALUES:
+                out += self._report(payload, words)
+            elif payload[0] == wire.FIRMWARE_VERSION:
+                out.append(self._identity(payload))
+        for payload in self._line.others:
+            self._sent(payload)
+        erpms = [values.erpm for values in self.answers] + self._line.speeds_erpm
+        words += [self._word or 0] * len(self._line.speeds_erpm)
+        if erpms:
+            n = len(erpms)
+            columns = {
+                "speed_rpm": np.array(erpms, float) / self._pole_pairs,
+                "target_rpm": np.full(n, self._target_rpm),
+                "statusword": np.array(words, np.uint32),
+            }
+            out.append(Batch(channels.MOTOR, np.full(n, host_ns, np.int64), np.zeros(n, np.uint32), columns))
+        return out
+
+    def _sent(self, payload: bytes) -> None:
+        """Take a payload of the host: only it contains the set-point. A second poll in a row shows a missing answer."""
+        if payload[0] == wire.GET_VALUES:
+            if self._polled:
+                self.losses["unanswered"] += 1
+                self._unanswered += 1
+            self._polled = True
+        elif (command := wire.parse_command(payload)) is not None:
+            before, self._command = self._command, _COMMANDS[command.what]
+            if self._command == FREE != before:  # the poll that follows a release does not wait for an earlier answer
+                self._early += self._polled
+                self._polled = False
+            self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
+
+    def _identity(self, payload: bytes) -> DeviceEvent:
+        firmware = wire.parse_firmware(payload)
+        facts = (
+            {}
+            if firmware is None
+            else {
+                "firmware": f"{firmware.major}.{firmware.minor:02d}",
+                "hardware": firmware.hardware,
+                "serial": firmware.serial,
+            }
+        )
+        return DeviceEvent("reply", self._device, payload.hex(), facts)
+
+    def _report(self, payload: bytes, words: list[int]) -> list[DeviceEvent]:
+        values = wire.parse_values(payload)
+        if values is None:
+            self.losses["unreadable_answers"] += 1
+            text = (
+                f"an answer of {number_of(len(payload), 'byte')}, expected at least {wire.VALUES_BYTES}: is its "
+                f"firmware too old?"
+            )
+            return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
+        out = self._gap() + self._restart(values)
+        word = statusword(values, self._command)
+        actual_rpm = values.erpm / self._pole_pairs
+        out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
+        out += self._slowing.check(self._command == BRAKE, actual_rpm)
+        self._last, self._word = values, word
+        self.answers.append(values)
+        words.append(word)
+        return out
+
+    def _gap(self) -> list[DeviceEvent]:
+        if not self._polled:
+            return self._surplus()
+        lost, self._unanswered, self._polled = self._unanswered, 0, False
+        self._late += lost
+        return (
+            [DeviceEvent("gap", self._device, f"{number_of(lost, 'poll')} not answered", {"samples": lost})]
+            if lost
+            else []
+        )
+
+    def _surplus(self) -> list[DeviceEvent]:
+        """Take an answer for which no poll is open. Return the event that takes a loss back, if it was late."""
+        if self._early or not self._late:
+            self._early = max(0, self._early - 1)
+            return []
+        self._late -= 1
+        self.losses["unanswered"] -= 1
+        text = "an answer was late: its poll was counted as not answered"
+        return [DeviceEvent("gap", self._device, text, {"samples": -1})]
+
+    def _restart(self, values: wire.Values) -> list[DeviceEvent]:
+        if self._last is None or not wire.restarted(self._last, values):
+            return []
+        text = "the controller started again: its counters are smaller than before"
+        return [DeviceEvent("restart", self._device, text, {"turned": values.turned})]
+
+    def _changes(self, word: int) -> list[DeviceEvent]:
+        """Return the events of a new state, a new fault, and a fault that has ended."""
+        before, out = self._word, list[DeviceEvent]()
+        if before is None or state(word) != state(before):
+            out.append(DeviceEvent("drive", self._device, state(word), {"statusword": word}))
+        fault = word & 0xFF
+        if fault != (0 if before is None else before & 0xFF):
+            text = f"fault {wire.fault_words(fault)}" if fault else "no fault any more"
+            out.append(DeviceEvent("emergency", self._device, text, {"error_code": fault}))
+        return out

@@ -1,0 +1,147 @@
+"""The CAN line of a VESC's pipeline: frames to payloads of answers, and the speeds of the status messages."""
+
+from __future__ import annotations
+
+from daq.drivers.can_lines import CanLines, FirstContact, OtherHost
+from daq.items import DeviceEvent
+from daq.transports.can_frames import CanFrame
+from rig_drivers.vesc import wire as vesc
+from rig_drivers.vesc.stream import VescPipeline
+from rig_drivers.vesc_can import wire
+from rig_drivers.vesc_can.settings import VescCan
+from rig_drivers.vesc_can.status_watch import StatusWatch
+
+_TO_HOST = (wire.FILL, wire.FILL_LONG, wire.PROCESS, wire.SHORT)
+_FIRMWARE = bytes([vesc.FIRMWARE_VERSION])
+
+
+class CanLine:
+    """See VescLine. Damaged answers are counted as `damaged_answers`, status messages of a wrong length too.
+
+    Args:
+        device: name of the device in the rig file.
+        losses: losses of the pipeline.
+        settings: table of the controller in the rig file.
+
+    Attributes:
+        status: rate and absence of the status messages.
+    """
+
+    def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
+        self.speeds_erpm: list[int] = []
+        self.others: list[bytes] = []
+        self._device, self._losses, self._settings = device, losses, settings
+        self._number = settings.controller_id
+        self._lines, self._other_host = CanLines(device, losses), OtherHost(device)
+        self._contact = FirstContact()
+        self._pieces = wire.Pieces(settings.controller_id)
+        self._asks_firmware = False  # whether the query of the firmware is not answered yet
+        self._others_heard = set[int]()  # other controllers whose status was reported
+        self._open_refused = False  # whether it was reported
+        losses["damaged_answers"] = 0
+        self.status: StatusWatch = StatusWatch(device, losses, settings)
+
+    def sent(self, data: bytes) -> list[bytes]:
+        """See VescLine."""
+        out: list[bytes] = []
+        self._contact.sent(data)
+        for frame in self._lines.sent(data):
+            if frame.extended and wire.split(frame.arbitration_id)[1] == self._settings.controller_id:
+                self._other_host.sent(frame)
+                out += [] if (payload := wire.payload_of(frame)) is None else [payload]
+        self._asks_firmware |= _FIRMWARE in out
+        return out
+
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """See VescLine."""
+        self.speeds_erpm, self.others = [], []
+        frames, events = self._lines.received(data)
+        payloads: list[bytes] = []
+        for frame in frames:
+            if frame.extended and not frame.remote:
+                events += self._frame(frame, host_ns, payloads)
+        if payloads:
+            self._asks_firmware &= all(payload[:1] != _FIRMWARE for payload in payloads)
+        return payloads, [*self._refusal(), *events]
+
+    def _refusal(self) -> list[DeviceEvent]:
+        """Return a reply about an adapter that does not open the bus, once, while the query is not answered."""
+        if self._open_refused or not (self._asks_firmware and self._lines.open_refused):
+            return []
+        self._open_refused = True
+        return [DeviceEvent("reply", self._device, "the adapter refused to open the bus", {})]
+
+    def _frame(self, frame: CanFrame, host_ns: int, payloads: list[bytes]) -> list[DeviceEvent]:
+        command, number = wire.split(frame.arbitration_id)
+        if number == self._number and command == wire.STATUS:
+            self._contact.heard()
+        if command == wire.STATUS:
+            return self._status(frame.data, host_ns) if number == self._number else self._other_status(number)
+        if command == wire.BOOT:
+            return [self._started()] if number == self._number else []
+        if command in _TO_HOST and number == self._settings.host_id:
+            self._contact.heard()
+            payload, damaged = self._pieces.take(command, frame.data)
+            if payload is not None:
+                payloads.append(payload)
+                return self.status.answer(host_ns)
+            return self._damage() if damaged else []
+        return self._foreign(frame, number, host_ns) if number in (self._number, wire.EVERY) else []
+
+    def _started(self) -> DeviceEvent:
+        if self._contact.pending:
+            text = "the controller had started before the bus was opened: the message of its start is its first"
+            return DeviceEvent("network", self._device, text, {})
+        text = "the controller started again: it has sent the message of its start"
+        return DeviceEvent("restart", self._device, text, {})
+
+    def _status(self, data: bytes, host_ns: int) -> list[DeviceEvent]:
+        status = wire.parse_status(data)
+        if status is None:
+            return self._damage()
+        self.speeds_erpm.append(status.erpm)
+        return self.status.message(host_ns)
+
+    def _other_status(self, number: int) -> list[DeviceEvent]:
+        """Return a reply about another controller's status, once, while the query of the firmware is not answered."""
+        if not self._asks_firmware or number in self._others_heard:
+            return []
+        self._others_heard.add(number)
+        text = f"status messages of controller {number}"
+        return [DeviceEvent("reply", self._device, text, {"controller_id": number})]
+
+    def _foreign(self, frame: CanFrame, number: int, host_ns: int) -> list[DeviceEvent]:
+        """Take a frame to the controller from the bus. A session that only receives uses those of the rig's host."""
+        payload = wire.payload_of(frame)
+        acts = wire.is_command(frame)
+        of_rig = acts or frame.data[:1] == bytes([self._settings.host_id])
+        if payload is not None and of_rig and not self._other_host.replaced:
+            self.others.append(payload)
+        return self._other_host.received(frame, host_ns) if acts else []
+
+    def _damage(self) -> list[DeviceEvent]:
+        self._losses["damaged_answers"] += 1
+        return [DeviceEvent("damage", self._device, "a damaged answer dropped", {"answers": 1})]
+
+
+class VescCanPipeline(VescPipeline):
+    """See VescPipeline.
+
+    Attributes:
+        status: rate and absence of the status messages.
+    """
+
+    def __init__(self, device: str, settings: VescCan) -> None:
+        lines: list[CanLine] = []
+
+        def line(name: str, losses: dict[str, int]) -> CanLine:
+            lines.append(CanLine(name, losses, settings))
+            return lines[0]
+
+        super().__init__(device, settings, line)
+        self.status: StatusWatch = lines[0].status
+
+
+def can_pipeline(device: str, settings: VescCan) -> VescCanPipeline:
+    """Make the pipeline of a controller on the bus."""
+    return VescCanPipeline(device, settings)

@@ -1,0 +1,50 @@
+"""RotorLink nodes behind XBee modules as a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from daq.drivers.checks import Checks
+from daq.drivers.contract import SpeedControl
+from daq.drivers.driver import Driver, parts_of
+from daq.drivers.plain import node_channels, node_clocks, node_marks
+from daq.drivers.played import PlayedDevice
+from daq.items import DeviceEvent
+from rig_drivers.xbee.settings import XBeeNode
+
+
+def _checks(settings: XBeeNode, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+    """Return the node's status."""
+    from daq.drivers.rotorlink.status_checks import node_checks
+
+    return node_checks(settings, pipeline)
+
+
+def _played(settings: XBeeNode, identity: Mapping[str, Any]) -> PlayedDevice:
+    from rig_drivers.xbee.played import PlayedXBee
+
+    return PlayedXBee(identity, settings)
+
+
+_part = parts_of("rig_drivers.xbee")
+DRIVER = Driver(
+    name="xbee",
+    settings=XBeeNode,
+    by_radio=True,
+    example={"node_address": "0013A20040522BAB"},
+    claims=frozenset({"checksum", "counts exactly"}),
+    measured=frozenset({"rssi_dBm"}),
+    usual=({}, {"baud": 9_600, "rate_Hz": 100}, {"baud": 57_600}, {"baud": 230_400}),
+    channels=node_channels,
+    occasional=node_marks,
+    clocks=node_clocks,
+    pipeline=_part("stream:XBeePipeline"),
+    checks=_checks,
+    far_end=_part("far_end:SimulatedXBeeNode.of"),
+    played=_played,
+    open=_part("dialogue:identify"),
+    locks=_part("locks:XBeeLocks"),
+    recognise=_part("identity:recognise"),
+    identity_request=_part("identity:identity_turns"),
+)
