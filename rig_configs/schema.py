@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, create_model, field_validator, model_validator
 from pydantic_core import PydanticCustomError
+from typing_extensions import override
 
 from dynamics.equations.parameters import Pendulum, RotorParameters, rolling_arm
 from rig_configs.device import DeviceSettings
@@ -233,6 +234,11 @@ def _may_state(numbers: Mapping[str, PhysicalNumber]) -> type[RigTable]:
 
 class Truth(_may_state({key: PHYSICAL_NUMBERS[key] for key in PHYSICAL_KEYS})):
     """True numbers of the simulated rig that differ from the rig file's physical part. Only its bytes reveal them."""
+
+    @override
+    def __reduce__(self) -> tuple[Callable[..., Truth], tuple[dict[str, Any]]]:
+        """Be sent to other processes as its numbers: no module has the tables inside it."""
+        return Truth.model_validate, (self.model_dump(exclude_unset=True),)
 
 
 class Virtual(RigTable):

@@ -92,7 +92,6 @@ def test_no_text_breaks_a_command(
     [
         "check virtual --seconds -1",
         "check virtual --seconds 0",
-        "demo --seed nan",
         "record virtual -o x.mcap --duration -5",
         "record virtual -o x.mcap --duration 0",
         "record virtual -o x.mcap --until-silent -1",

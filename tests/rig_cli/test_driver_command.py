@@ -60,7 +60,9 @@ def test_drivers_are_listed_with_package_and_roles(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.usefixtures("few_tests")
-@pytest.mark.parametrize("name", ["vesc", "pendulum-balancer-rig:vesc", "pendulum_balancer_rig:vesc", "daq:vesc"])
+@pytest.mark.parametrize(
+    "name", ["vesc", "pendulum-balancer-rig:vesc", "pendulum_balancer_rig:vesc", "rig_drivers:vesc"]
+)
 def test_a_sound_driver_passes(capsys: pytest.CaptureFixture[str], name: str) -> None:
     code, out, err = run_rig(capsys, "check", name, "--json")
     assert (code, json.loads(out)) == (0, {"driver": "vesc", "passed": True, "failed": []})

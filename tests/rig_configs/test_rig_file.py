@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from importlib import resources
 from pathlib import Path
 
@@ -233,3 +234,10 @@ def test_true_friction_may_differ_from_the_files() -> None:
     rig = load_rig("ball_balancer", settings=["virtual.truth.pendulums.a.friction_arm_m=1e-6"])
     assert rig.true_physics.a.friction_arm_m == 1e-6
     assert rig.true_physics.b.friction_arm_m == pytest.approx(1.52e-4)
+
+
+def test_a_rig_with_its_truth_is_sent_to_other_processes() -> None:
+    rig = load_rig("virtual", settings=["virtual.truth.suspension.zeta1=*2", "virtual.truth.rotor.mass_kg=9.5"])
+    sent = pickle.loads(pickle.dumps(rig))
+    assert sent == rig
+    assert sent.model_dump(exclude_unset=True) == rig.model_dump(exclude_unset=True)
