@@ -15,7 +15,6 @@ from daq.channels import Channel
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, Poller, SampleClock, SpeedControl
 from daq.drivers.driver import Driver, parts_of
-from daq.drivers.played import PlayedDevice
 from daq.items import DeviceEvent
 from rig_drivers.microstrain.settings import MicroStrainNode
 
@@ -81,12 +80,6 @@ def _checks(
     return {"signal_dBm": DeviceCheck(strength, f"at least {_MIN_SIGNAL_DBM}", not weak, note)}
 
 
-def _played(settings: MicroStrainNode, identity: Mapping[str, Any]) -> PlayedDevice:
-    from rig_drivers.microstrain.played import PlayedMicroStrain
-
-    return PlayedMicroStrain(identity, settings)
-
-
 _part = parts_of("rig_drivers.microstrain")
 DRIVER = Driver(
     name="microstrain",
@@ -102,7 +95,7 @@ DRIVER = Driver(
     poller=_poller,
     checks=_checks,
     far_end=_part("far_end:SimulatedMicroStrain.of"),
-    played=_played,
+    played=_part("played:PlayedMicroStrain"),
     open=_part("dialogue:open_node"),
     stop=_part("dialogue:stop_node"),
     identity_request=_part("identity:identity_turns"),

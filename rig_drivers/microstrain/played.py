@@ -27,7 +27,7 @@ class PlayedMicroStrain(PlayedDevice):
 
     expects = "the start of synchronized sampling"
 
-    def __init__(self, identity: Mapping[str, Any], settings: MicroStrainNode) -> None:
+    def __init__(self, settings: MicroStrainNode, identity: Mapping[str, Any]) -> None:
         super().__init__()
         serial = str(identity.get("serial") or settings.serial or "0-0-0")
         try:

@@ -10,7 +10,6 @@ from daq.drivers.contract import DeviceLine, Pipeline, SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import motor_channels
 from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 from rig_drivers.modbus_converter.settings import ModbusConverter
 
@@ -38,12 +37,6 @@ def _checks(
     return converter_checks(pipeline, control, events)
 
 
-def _far_end(device: str, settings: ModbusConverter, world: Any) -> FarEnd:
-    from rig_drivers.modbus_converter.far_end import SimulatedConverter
-
-    return SimulatedConverter.of(settings, world)
-
-
 def _played(settings: ModbusConverter, identity: Mapping[str, Any]) -> PlayedDevice:
     from rig_drivers.modbus_converter.played import PlayedConverter
 
@@ -69,7 +62,7 @@ DRIVER = Driver(
     pipeline=_pipeline,
     words=_words,
     checks=_checks,
-    far_end=_far_end,
+    far_end=_part("far_end:SimulatedConverter.of"),
     played=_played,
     open=_open,
     speed_source=_part("control:ConverterControl"),

@@ -164,7 +164,7 @@ class SimulatedConverter(FarEnd):
         self._start()
 
     @classmethod
-    def of(cls, settings: ModbusConverter, world: World) -> SimulatedConverter:
+    def of(cls, device: str, settings: ModbusConverter, world: World) -> SimulatedConverter:
         """Make the converter of a simulated rig."""
         return cls(settings, world.motion, world.virtual.drive.slip)
 

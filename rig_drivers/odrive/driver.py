@@ -10,7 +10,6 @@ from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, Pipeline, SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import motor_channels
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 from daq.transports.can_frames import CLOSE_BUS
 from rig_drivers.odrive.settings import Odrive
@@ -44,12 +43,6 @@ def _checks(settings: Odrive, pipeline: Any, control: SpeedControl | None, event
     )
 
 
-def _far_end(device: str, settings: Odrive, world: Any) -> FarEnd:
-    from rig_drivers.odrive.far_end import SimulatedOdrive
-
-    return SimulatedOdrive.of(settings, world)
-
-
 def _open(device: str, settings: Odrive, talk: Talk) -> dict[str, Any]:
     """Query the axis, which receives no command; a request feeds the watchdog of firmware 0.5."""
     from rig_drivers.odrive.dialogue import identify
@@ -73,7 +66,7 @@ DRIVER = Driver(
     pipeline=_pipeline,
     words=_words,
     checks=_checks,
-    far_end=_far_end,
+    far_end=_part("far_end:SimulatedOdrive.of"),
     played=_part("played:PlayedOdrive"),
     open=_open,
     stop=_stop,

@@ -83,7 +83,7 @@ class SimulatedOdrive(FarEnd):
         self._start(0.0, booted_s=0.0)
 
     @classmethod
-    def of(cls, settings: Odrive, world: World) -> SimulatedOdrive:
+    def of(cls, device: str, settings: Odrive, world: World) -> SimulatedOdrive:
         """Make the controller of a simulated rig."""
         return cls(settings, world.motion, watchdog_s=settings.watchdog_s)
 

@@ -9,7 +9,6 @@ from typing import Any
 from daq.drivers.contract import DeviceLine, Pipeline, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import displacement_channels, displacement_clocks
-from daq.drivers.played import PlayedDevice
 from rig_drivers.riftek.settings import RiftekLaser
 
 
@@ -22,12 +21,6 @@ def _pipeline(device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -
 
     (channel,) = displacement_channels(settings)
     return RiftekPipeline(device, settings, channel, identity)
-
-
-def _played(settings: RiftekLaser, identity: Mapping[str, Any]) -> PlayedDevice:
-    from rig_drivers.riftek.played import PlayedRiftek
-
-    return PlayedRiftek(identity, settings)
 
 
 def _compile() -> None:
@@ -64,7 +57,7 @@ DRIVER = Driver(
     clocks=partial(displacement_clocks, 2**32),
     pipeline=_pipeline,
     far_end=_part("far_end:SimulatedRiftek.of"),
-    played=_played,
+    played=_part("played:PlayedRiftek"),
     compile=_compile,
     open=_part("dialogue:configure"),
     stop=_stop,

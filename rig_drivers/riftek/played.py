@@ -24,7 +24,7 @@ class PlayedRiftek(PlayedDevice):
 
     expects = "the start of the stream"
 
-    def __init__(self, identity: Mapping[str, Any], settings: RiftekLaser) -> None:
+    def __init__(self, settings: RiftekLaser, identity: Mapping[str, Any]) -> None:
         super().__init__()
         range_m = identity.get("told_range_m", identity.get("range_m", settings.range_m))
         serial = str(identity.get("serial", "0"))

@@ -11,7 +11,6 @@ from daq.drivers.driver import Driver, parts_of
 from daq.drivers.identification import Announcement
 from daq.drivers.plain import motor_channels
 from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 from rig_drivers.vesc.settings import Vesc, VescMotor
 
@@ -39,12 +38,6 @@ def _pipeline(device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipel
     from rig_drivers.vesc.stream import SerialLine, VescPipeline
 
     return VescPipeline(device, settings, SerialLine)
-
-
-def _far_end(device: str, settings: Vesc, world: Any) -> FarEnd:
-    from rig_drivers.vesc.far_end import SimulatedVesc
-
-    return SimulatedVesc.of(settings, world)
 
 
 def _played(settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
@@ -78,7 +71,7 @@ DRIVER = Driver(
     pipeline=_pipeline,
     words=words,
     checks=checks,
-    far_end=_far_end,
+    far_end=_part("far_end:SimulatedVesc.of"),
     played=_played,
     open=_open,
     speed_source=_part("control:VescControl"),

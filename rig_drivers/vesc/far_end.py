@@ -75,7 +75,7 @@ class SimulatedVesc(FarEnd):
         self._start()
 
     @classmethod
-    def of(cls, settings: VescMotor, world: World) -> Self:
+    def of(cls, device: str, settings: VescMotor, world: World) -> Self:
         """Make the controller of a simulated rig."""
         return cls(settings, world.motion, timeout_s=settings.timeout_s)
 

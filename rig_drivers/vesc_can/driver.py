@@ -10,7 +10,6 @@ from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import motor_channels
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 from daq.transports.can_frames import CLOSE_BUS, open_bus
 from rig_drivers.vesc import driver as vesc
@@ -36,12 +35,6 @@ def _checks(settings: VescCan, pipeline: Any, control: SpeedControl | None, even
 
     found = vesc.checks(settings, pipeline, control, events)
     return {**found, "status_Hz": status_check(settings, pipeline.status)}
-
-
-def _far_end(device: str, settings: VescCan, world: Any) -> FarEnd:
-    from rig_drivers.vesc_can.far_end import SimulatedVescCan
-
-    return SimulatedVescCan.of(settings, world)
 
 
 def _open(device: str, settings: VescCan, talk: Talk) -> dict[str, Any]:
@@ -84,7 +77,7 @@ DRIVER = Driver(
     pipeline=_pipeline,
     words=vesc.words,
     checks=_checks,
-    far_end=_far_end,
+    far_end=_part("far_end:SimulatedVescCan.of"),
     played=_part("played:PlayedVescCan"),
     open=_open,
     stop=_stop,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.checks import Checks
 from daq.drivers.contract import SpeedControl
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import node_channels, node_clocks, node_marks
-from daq.drivers.played import PlayedDevice
 from daq.items import DeviceEvent
 from rig_drivers.xbee.settings import XBeeNode
 
@@ -19,12 +18,6 @@ def _checks(settings: XBeeNode, pipeline: Any, control: SpeedControl | None, eve
     from daq.drivers.rotorlink.status_checks import node_checks
 
     return node_checks(settings, pipeline)
-
-
-def _played(settings: XBeeNode, identity: Mapping[str, Any]) -> PlayedDevice:
-    from rig_drivers.xbee.played import PlayedXBee
-
-    return PlayedXBee(identity, settings)
 
 
 _part = parts_of("rig_drivers.xbee")
@@ -42,7 +35,7 @@ DRIVER = Driver(
     pipeline=_part("stream:XBeePipeline"),
     checks=_checks,
     far_end=_part("far_end:SimulatedXBeeNode.of"),
-    played=_played,
+    played=_part("played:PlayedXBee"),
     open=_part("dialogue:identify"),
     locks=_part("locks:XBeeLocks"),
     recognise=_part("identity:recognise"),

@@ -21,7 +21,7 @@ class PlayedXBee(PlayedDevice):
         settings: table of the node in the rig file.
     """
 
-    def __init__(self, identity: Mapping[str, Any], settings: XBeeNode) -> None:
+    def __init__(self, settings: XBeeNode, identity: Mapping[str, Any]) -> None:
         super().__init__()
         self._escaped = settings.api_mode == 2
         self._line = framing.ApiDecoder(escaped=self._escaped)

@@ -72,7 +72,7 @@ def test_without_an_identity_the_stream_is_made_of_the_rig_files_words() -> None
     assert not any(pipeline.losses.values())
     laser_with_identity = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # the log has priority
     assert laser_with_identity._decoder.words == tuple(USUAL)
-    played = PlayedLaser({}, Laser.model_validate({**RIG_TABLE, "words": words[1:]}))
+    played = PlayedLaser(Laser.model_validate({**RIG_TABLE, "words": words[1:]}), {})
     assert b"GETOUTINFO_RS422 DIST TIMESTAMP COUNTER" in played.hear(b"GETOUTINFO_RS422\n")
 
 

@@ -92,7 +92,7 @@ def test_an_invalid_scaling_is_refused_with_a_message(scaling: object) -> None:
     with pytest.raises(DeviceError, match=r"laser_x: expected .*ILD1420, .*ILD1900.*got"):
         laser({"scaling": scaling})
     with pytest.raises(LogError, match=r"ILD1420, .*ILD1900"):
-        PlayedLaser({"scaling": scaling}, Laser.model_validate(RIG_TABLE))
+        PlayedLaser(Laser.model_validate(RIG_TABLE), {"scaling": scaling})
 
 
 @pytest.mark.parametrize("name", sorted(distance_words.SCALINGS))
@@ -187,5 +187,5 @@ def test_a_simulated_sensor_is_of_the_model_whose_scaling_the_rig_file_forces(sc
 
 def test_a_played_sensor_without_a_name_bears_that_of_its_scaling() -> None:
     for identity, name in (({}, "ILD1420"), ({"scaling": "ILD1900"}, "ILD1900"), ({"name": "ILD1750"}, "ILD1750")):
-        played = PlayedLaser(identity, Laser.model_validate(RIG_TABLE))
+        played = PlayedLaser(Laser.model_validate(RIG_TABLE), identity)
         assert f"Name: {name}\r\n".encode() in played.hear(b"GETINFO\n")

@@ -111,7 +111,7 @@ def test_bytes_that_are_no_blocks_are_not_held_back_for_ever() -> None:
 
 
 def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
-    laser = PlayedLaser(IDENTITY, LASER)
+    laser = PlayedLaser(LASER, IDENTITY)
     talk = Asking(laser)
     assert not laser.sending
     assert lasers.configure("laser_x", LASER, talk) == {**IDENTITY, "scaling": "ILD1420"}
@@ -121,12 +121,12 @@ def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
 
 
 def test_a_corrected_range_is_not_the_reported_one() -> None:
-    laser = PlayedLaser({**IDENTITY, "range_m": 0.02503, "told_range_m": 0.025}, LASER)
+    laser = PlayedLaser(LASER, {**IDENTITY, "range_m": 0.02503, "told_range_m": 0.025})
     assert b"Measuring range: 25.00mm\r\n" in laser.hear(b"GETINFO\n")
 
 
 def test_the_rig_file_replaces_a_missing_identity() -> None:
-    laser = PlayedLaser({}, LASER)
+    laser = PlayedLaser(LASER, {})
     talk = Asking(laser)
     identity = lasers.configure("laser_x", LASER, talk)
     assert identity == {
@@ -141,13 +141,13 @@ def test_the_rig_file_replaces_a_missing_identity() -> None:
 
 def test_a_log_has_no_other_rate() -> None:
     slow = LASER.model_copy(update={"rate_Hz": 1000})
-    talk = Asking(PlayedLaser(IDENTITY, slow))
+    talk = Asking(PlayedLaser(slow, IDENTITY))
     with pytest.raises(DeviceError, match="Rate 4 kHz not possible, only 1"):
         lasers.configure("laser_x", LASER, talk)
 
 
 def test_it_sends_between_two_commands_and_resets_no_counter() -> None:
-    laser = PlayedLaser(IDENTITY, LASER)
+    laser = PlayedLaser(LASER, IDENTITY)
     stream = blocks(40)
     assert laser.play(RX, stream[:125]) == b""
     laser.hear(b"RESETCNT MEASCNT\nOUTPUT RS422\n")
@@ -174,7 +174,7 @@ def test_it_sends_between_two_commands_and_resets_no_counter() -> None:
 )
 def test_an_identity_no_sensor_has_is_refused(identity: dict, words: str) -> None:
     with pytest.raises(LogError, match=words):
-        PlayedLaser(identity, LASER)
+        PlayedLaser(LASER, identity)
 
 
 # --- the node and the drive --------------------------------------------------------------------------------------
@@ -261,7 +261,7 @@ def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
 
 @given(st.lists(st.binary(max_size=60), max_size=10))
 def test_any_bytes_of_a_host_are_handled(pieces: list[bytes]) -> None:
-    for device in (PlayedLaser(IDENTITY, LASER), PlayedNode(), PlayedDrive(RIG.devices["drive"]), PlayedDevice()):
+    for device in (PlayedLaser(LASER, IDENTITY), PlayedNode(), PlayedDrive(RIG.devices["drive"]), PlayedDevice()):
         for piece in pieces:
             assert isinstance(device.hear(piece), bytes)
         assert device.rest() == b""

@@ -29,7 +29,7 @@ def test_break_points_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert {b["type"] for b in result["branches"]} == {"I", "II", "III"}
     text = (tmp_path / "s.svg").read_text(encoding="utf-8")
     assert "pendulum angle, °" in text
-    assert "imbalance.radius_m" in text
+    assert "distance of the imbalance weight" in text
 
 
 def test_printed_as_text(capsys: pytest.CaptureFixture[str]) -> None:

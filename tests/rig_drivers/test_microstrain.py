@@ -520,11 +520,11 @@ def test_requests_in_any_pieces_and_after_noise_are_answered() -> None:
 @pytest.mark.parametrize("serial", ["a", "1-2", "1-2-x", "70000-1-1"])
 def test_an_impossible_identity_cannot_be_played(serial: str) -> None:
     with pytest.raises(LogError, match="serial"):
-        PlayedMicroStrain({"serial": serial}, settings())
+        PlayedMicroStrain(settings(), {"serial": serial})
 
 
 def test_a_played_node_that_is_only_listened_to_sends() -> None:
-    played = PlayedMicroStrain({}, settings())
+    played = PlayedMicroStrain(settings(), {})
     assert not played.sending
     played.begin()
     assert played.sending

@@ -457,7 +457,7 @@ def test_a_controller_that_does_not_answer_is_explained() -> None:
 
 def test_an_error_of_the_opening_names_what_is_on_the_bus() -> None:
     with running(variant(controller_id=24)) as bench:
-        bench.far = SimulatedVescCan.of(controller(), bench.world)
+        bench.far = SimulatedVescCan.of("motor", controller(), bench.world)
         with pytest.raises(DeviceError, match=r"in 3 tries, but status messages of controller 23\. Is the controller"):
             bench.begin()
 
@@ -479,7 +479,7 @@ def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
 )
 def test_the_rate_of_the_status_messages_is_checked(set_Hz: float, stated_Hz: float, fine: bool) -> None:
     with running(variant(status_Hz=stated_Hz)) as bench:
-        bench.far = SimulatedVescCan.of(controller(status_Hz=set_Hz), bench.world)
+        bench.far = SimulatedVescCan.of("motor", controller(status_Hz=set_Hz), bench.world)
         bench.begin()
         bench.time.pass_time(3.0)
         check = DRIVER.checks(controller(status_Hz=stated_Hz), bench.pipeline, bench.control, [])["status_Hz"]

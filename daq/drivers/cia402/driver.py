@@ -12,7 +12,6 @@ from daq.drivers.contract import DeviceLine, Pipeline, SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import motor_channels
 from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
 
 
@@ -40,12 +39,6 @@ def _checks(settings: MotorDrive, pipeline: Any, control: SpeedControl | None, e
     return drive_checks(control, events, pipeline.host_beats.foreign)
 
 
-def _far_end(device: str, settings: MotorDrive, world: Any) -> FarEnd:
-    from daq.drivers.cia402.far_end import SimulatedDrive
-
-    return SimulatedDrive.of(settings, world)
-
-
 def _played(settings: MotorDrive, identity: Mapping[str, Any]) -> PlayedDevice:
     from daq.drivers.cia402.played import PlayedDrive
 
@@ -68,7 +61,7 @@ DRIVER = Driver(
     pipeline=_pipeline,
     words=_words,
     checks=_checks,
-    far_end=_far_end,
+    far_end=_part("far_end:SimulatedDrive.of"),
     played=_played,
     open=_open,
     speed_source=_part("control:DriveControl"),

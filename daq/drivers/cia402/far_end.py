@@ -113,7 +113,7 @@ class SimulatedDrive(FarEnd):
         return drive_objects(self._node, self._profile) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
-    def of(cls, config: MotorDrive, world: World) -> SimulatedDrive:
+    def of(cls, device: str, config: MotorDrive, world: World) -> SimulatedDrive:
         """Make the drive of a simulated rig."""
         return cls(config, world.motion, world.virtual.drive.report_s)
 

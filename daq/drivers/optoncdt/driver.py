@@ -12,7 +12,6 @@ from daq.drivers.driver import Driver, parts_of
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.plain import displacement_channels, displacement_clocks
-from daq.drivers.played import PlayedDevice
 from daq.items import DeviceEvent
 from rig_basics.texts import number_of
 
@@ -22,12 +21,6 @@ def _pipeline(device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipe
 
     (channel,) = displacement_channels(settings)
     return LaserPipeline(device, settings, channel, identity)
-
-
-def _played(settings: Laser, identity: Mapping[str, Any]) -> PlayedDevice:
-    from daq.drivers.optoncdt.played import PlayedLaser
-
-    return PlayedLaser(identity, settings)
 
 
 def _checks(settings: Laser, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
@@ -60,7 +53,7 @@ DRIVER = Driver(
     clocks=partial(displacement_clocks, 2**18),
     pipeline=_pipeline,
     far_end=_part("far_end:SimulatedLaser.of"),
-    played=_played,
+    played=_part("played:PlayedLaser"),
     checks=_checks,
     code_meaning=_code_meaning,
     compile=parts_of("daq.drivers")("spikes:compile_watch"),

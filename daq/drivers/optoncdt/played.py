@@ -76,7 +76,7 @@ class PlayedLaser(PlayedDevice):
 
     expects = "OUTPUT RS422"
 
-    def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
+    def __init__(self, config: Laser, identity: Mapping[str, Any]) -> None:
         words = _words(identity.get("words", config.output_words or DEFAULT_WORDS))
         super().__init__(WholeBlocks(len(words)))
         self._sensor = SensorCommands(
