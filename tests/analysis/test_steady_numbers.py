@@ -53,9 +53,10 @@ def made(
     end_s: float = END_S,
     locked_deg: tuple[float, float] = (0.0, 180.0),
     orbit_left_m: float = 0.0,
+    seed: int = 2,
 ) -> Run:
     """Locked until 4 s, then at THETA but for an approach of A; the orbit is steady; the stop begins at end_s."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     stop = end_s + 0.5
     t, laser = np.arange(0, stop, 1e-3), np.arange(0, stop, 1 / 2000)
     theta = np.where((t > RELEASE_S)[:, None], THETA, np.radians(locked_deg))
@@ -344,19 +345,22 @@ def test_the_locked_radius_is_that_of_two_seconds_before_the_release(run: Run) -
 
 
 def test_an_approach_that_is_not_over_is_extrapolated(rig: Rig) -> None:
-    run = made(math.radians(1.0), 0.3)
-    found = measure(run, rig)
-    assert found.state == "not settled"
-    assert found.to_come.model != UNEXPLAINED
-    assert found.theta_rad[0].value == pytest.approx(THETA[0], abs=3 * found.theta_rad[0].std)
-    assert found.theta_rad[1].value == pytest.approx(THETA[1], abs=STEP)
-    assert found.to_come.rate_per_s == pytest.approx(0.3, rel=0.25)  # the noise may leave a second rate open
-    at_end = math.radians(1.0) * math.exp(0.3 * (END_S - found.to_s))
-    mean = at_end * (math.exp(0.3 * 6.0) - 1) / (0.3 * 6.0)
-    assert found.to_come.shift[0] == pytest.approx(-mean, rel=0.1)
-    assert found.to_come.to_come[0] == pytest.approx(-at_end, rel=0.2)
-    assert found.to_come.shift[1] == pytest.approx(0.0, abs=STEP)
-    assert 10 < found.to_come.windows <= 20
+    """The noise may leave a second rate open, in about half of the draws: rate and amounts are those of most draws."""
+    draws = [measure(made(math.radians(1.0), 0.3, seed=seed), rig) for seed in range(5)]
+    for found in draws:
+        assert found.state == "not settled"
+        assert found.to_come.model != UNEXPLAINED
+        assert found.theta_rad[0].value == pytest.approx(THETA[0], abs=3 * found.theta_rad[0].std)
+        assert found.theta_rad[1].value == pytest.approx(THETA[1], abs=STEP)
+        assert found.to_come.shift[1] == pytest.approx(0.0, abs=STEP)
+        assert 5 < found.to_come.windows <= 20
+    at_end = [math.radians(1.0) * math.exp(0.3 * (END_S - found.to_s)) for found in draws]
+    mean = (math.exp(0.3 * 6.0) - 1) / (0.3 * 6.0)
+    assert np.median([found.to_come.rate_per_s for found in draws]) == pytest.approx(0.3, rel=0.25)
+    shifts = [found.to_come.shift[0] / left for found, left in zip(draws, at_end, strict=True)]
+    assert np.median(shifts) == pytest.approx(-mean, rel=0.1)
+    left = [found.to_come.to_come[0] / left for found, left in zip(draws, at_end, strict=True)]
+    assert np.median(left) == pytest.approx(-1.0, rel=0.2)
 
 
 def test_clocks_that_agree_to_a_billionth_add_nothing(rig: Rig, run: Run) -> None:

@@ -64,7 +64,7 @@ def ticks_of(items: list[Batch | DeviceEvent]) -> np.ndarray:
     st.integers(0, 400),
 )
 def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, sizes: list[int], lost: int) -> None:
-    """Of samples that are lost once the host has received samples for 0.3 s, and thus knows the rate."""
+    """Of samples that are lost once the host has received samples for 0.3 s, and the rate is known."""
     counters = np.concatenate([np.arange(3000), np.arange(3000 + lost, 3600 + lost)])
     pipeline = laser()
     items = read(pipeline, counters, rate_Hz, sizes, tick0)

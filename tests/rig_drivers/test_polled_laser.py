@@ -353,8 +353,8 @@ def test_a_session_polls_it_while_it_reads_the_other_devices(tmp_path: Path) -> 
     with open_log(log) as opened:
         asked = [chunk for chunk in opened.raw("gauge") if chunk.direction == TX]
         found = opened["laser/gauge"]
-    assert len(asked) == pytest.approx(200, abs=4)
-    assert len(found.time_ns) == pytest.approx(200, abs=4)
+    assert len(asked) == pytest.approx(200, abs=10)  # an adapter that collects bytes delays some answers by a period
+    assert len(found.time_ns) == pytest.approx(200, abs=10)
     assert np.std(found["displacement_m"]) < 2e-5
     (witness,) = load_run(log).witnesses
     assert witness.device == "gauge"

@@ -237,7 +237,7 @@ def test_answers_that_never_agree_raise(bench: Bench) -> None:
 def test_stop_always_works(bench: Bench, rest: bytes) -> None:
     DRIVER.open("laser_y", bench.config, bench)
     bench.sensor.receive(rest)  # the beginning of a request that another program never ended
-    DRIVER.stop(bench)
+    DRIVER.stop(bench.config, bench)
     assert not bench.sensor.streaming
     before = bench.bytes_in
     bench.pass_time(0.1)

@@ -187,7 +187,7 @@ def test_what_the_driver_is() -> None:
 def test_stop_does_not_depend_on_the_node(fault: str) -> None:
     bench = Bench(settings())
     bench.far.fail(fault, 1)
-    DRIVER.stop(bench)
+    DRIVER.stop(bench.config, bench)
 
 
 # --- samples ---------------------------------------------------------------------------------------------------
