@@ -24,8 +24,8 @@ DEVICES = ("laser_x", "laser_y", "encoder", "drive")
 
 @contextmanager
 def cables(kind):
-    """A cable per device and a rig file that names their ports."""
-    wires = {name: make_wire(kind) for name in DEVICES}
+    """A cable per device, the drive's behind an adapter, and a rig file that names their ports."""
+    wires = {name: make_wire(kind, adapter=name == "drive") for name in DEVICES}
     try:
         yield wires, load_rig("virtual", settings={f"devices.{name}.port": wire.port for name, wire in wires.items()})
     finally:

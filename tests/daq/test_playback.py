@@ -146,11 +146,11 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
     assert listener.losses == live.losses
 
 
-def test_a_line_without_an_end_is_not_held_back_for_ever() -> None:
-    played = BothWays({0x701})
-    assert played.feed(RX, b"x" * 5000) == b"x" * 5000
-    assert played.feed(RX, b"t18") == b""
-    assert played.rest() == b"t18"
+def test_bytes_that_are_no_frame_are_not_played_and_hold_nothing_back() -> None:
+    played, frame = BothWays({0x701}), encode(CanFrame(0x181, b"12"))
+    assert played.feed(RX, b"x" * 5000) == b""
+    assert played.feed(RX, frame + frame[:9]) == frame
+    assert played.rest() == b""
 
 
 # --- back-pressure and readers that go ---------------------------------------------------------------------------

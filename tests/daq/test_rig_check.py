@@ -132,7 +132,7 @@ def _fault(far: LockstepRig, device: str, what: str, **more: float) -> None:
 def test_a_time_out_that_is_not_what_the_drive_states_is_found() -> None:
     found = checked(prepare=lambda far: _fault(far, "drive", "time-out", value=3.0))
     assert set(failed(found)) == {"drive time_out_s"}
-    assert found["drive"]["time_out_s"].value == pytest.approx(1.5, abs=0.05)
+    assert found["drive"]["time_out_s"].value == pytest.approx(1.5, abs=0.1)  # an adapter delivers up to 32 ms late
     never = checked(prepare=lambda far: _fault(far, "drive", "time-out", value=100.0))
     assert "would not stop by itself" in failed(never)["drive time_out_s"]
 

@@ -202,7 +202,7 @@ def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(signal, "signal", lambda number, how: None)
     with ours, theirs, accepted, given:
         ours.send({"end": True})
-        watched.run_page(theirs, load_rig("virtual"), None, "rig file", 1.0, "virtual", "token", [], given)
+        watched.run_page(theirs, load_rig("virtual"), None, "rig file", "virtual", "token", [], given)
         assert sent_before == [False]
         assert ours.recv() == {"ready": True}
 
