@@ -61,7 +61,7 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
     middles = np.asarray((number[begins] + 0.5) * width, dtype=np.float64)
     waits = time_s[begins[1:]] - time_s[begins[1:] - 1]  # from a bucket's last row to the next one's first
     if len(waits):
-        at = np.flatnonzero(waits > max(width, _BREAK_RATIO * float(np.median(np.diff(time_s))))) + 1
+        at = np.flatnonzero(waits > max(width, _longest_wait(np.diff(time_s)))) + 1
         middles = np.insert(middles, at, middles[at - 1] + 0.5 * width)
         lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
     return ChartRows(middles, lows, highs, width)
@@ -70,11 +70,17 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
 def _samples(time_s: Array, low: Array, high: Array) -> ChartRows:
     if len(time_s) > 2:
         steps = np.diff(time_s)
-        at = np.flatnonzero(steps > _BREAK_RATIO * np.median(steps)) + 1
+        at = np.flatnonzero(steps > _longest_wait(steps)) + 1
         if len(at):
             between = time_s[at - 1] + 1e-6
             return ChartRows(np.insert(time_s, at, between), np.insert(low, at, np.nan), np.insert(high, at, np.nan))
     return ChartRows(time_s, low, high)
+
+
+def _longest_wait(steps: Array) -> float:
+    """Return the longest time between samples that interrupts no line; samples of one read may have the same time."""
+    apart = steps[steps > 0]
+    return _BREAK_RATIO * float(np.median(apart)) if len(apart) else np.inf
 
 
 class _Rows:

@@ -53,7 +53,9 @@ class Part:
     """
 
     def __init__(self, package: str, path: str) -> None:
-        self.module, _, self.name = f"{package}.{path}".partition(":")
+        module, _, name = f"{package}.{path}".partition(":")
+        self.module: str = module
+        self.name: str = name
 
     def load(self) -> Callable[..., Any]:
         """Import the function.

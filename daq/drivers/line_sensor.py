@@ -248,7 +248,7 @@ class PlayedSensor(PlayedDevice):
     def __init__(self, commands: Commands) -> None:
         super().__init__()
         self._console = _Console(commands)
-        self.expects = commands.start.decode("ascii", "replace")
+        self.expects: str = commands.start.decode("ascii", "replace")
 
     @property
     def sending(self) -> bool:
@@ -262,7 +262,7 @@ class PlayedSensor(PlayedDevice):
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
         answer = self._console.hear(data)
-        self.commands = self._console.count
+        self.commands: int = self._console.count
         return answer
 
 

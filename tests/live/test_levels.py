@@ -86,3 +86,15 @@ def test_few_samples_are_handed_out_as_they_are() -> None:
     assert found.bucket_s == 0
     np.testing.assert_array_equal(found.low, time)
     assert decimate(time, time, time, 0.0, 1.0, 49).bucket_s == pytest.approx(1 / 49)
+
+
+@pytest.mark.parametrize("buckets", [20, 1000])
+def test_samples_that_arrive_together_at_one_time_are_one_line(buckets: int) -> None:
+    """An adapter delivers three reports of a drive at once, and they get the time of the host."""
+    time_s = np.repeat(np.arange(100) * 0.03, 3)
+    value = np.full(300, 150.0)
+    rows = decimate(time_s, value, value, 0.0, 3.0, buckets)
+    assert not np.isnan(rows.low).any()
+    missing = np.delete(time_s, np.s_[120:210])
+    rows = decimate(missing, value[:210], value[:210], 0.0, 3.0, buckets)
+    assert np.count_nonzero(np.isnan(rows.low)) == 1
