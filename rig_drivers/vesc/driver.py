@@ -15,7 +15,7 @@ from daq.items import DeviceEvent
 from rig_drivers.vesc.settings import Vesc, VescMotor
 
 _FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
-EXAMPLE = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
+EXAMPLE: Mapping[str, Any] = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
 
 
 def words(event: DeviceEvent) -> str:
