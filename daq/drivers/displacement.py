@@ -1,4 +1,4 @@
-"""Parts of all displacement sensors: their range by identity and rig file, and the event about lost samples."""
+"""Parts of all displacement sensors: their range by identity and rig file."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from daq.errors import DeviceError
-from daq.items import DeviceEvent
-from rig_basics.texts import number_of
 from rig_configs.device import DisplacementSettings
 
 _SAME_M = 1e-6
@@ -37,17 +35,3 @@ def compare_range(device: str, settings: DisplacementSettings, range_m: float, s
             f"{device}: the range is {settings.range_m * 1e3:g} mm in the rig file and {range_m * 1e3:g} mm in "
             f"the sensor (serial {serial}). Correct devices.{device}.range_m or plug in the right sensor"
         )
-
-
-def gap(device: str, lost: int, period_s: float, **facts: Any) -> DeviceEvent:
-    """Return the event about lost samples.
-
-    Args:
-        device: its name in the rig file.
-        lost: number of samples.
-        period_s: sampling period, s.
-        facts: other facts of the event.
-    """
-    span_s = lost * period_s
-    text = f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)"
-    return DeviceEvent("gap", device, text, {"samples": lost, "span_s": span_s, **facts})

@@ -20,10 +20,9 @@ from daq.drivers.contract import SampleClock, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
-from rig_basics.texts import number_of
 from rig_configs.device import DeviceSettings
 
 _ANSWER_S = 1.0
@@ -126,11 +125,8 @@ class LinePipeline:
             out.append(DeviceEvent("restart", self._device, "its samples' number does not continue: it started again"))
         elif stretch.lost:
             self.losses["samples"] += stretch.lost
-            span_s = stretch.lost * self._count.period_ns * 1e-9
-            facts: dict[str, Any] = {"samples": stretch.lost, "span_s": span_s}
-            if stretch.is_about:
-                facts["uncertain_samples"] = stretch.lost
-            out.append(DeviceEvent("gap", self._device, f"{number_of(stretch.lost, 'sample')} lost", facts))
+            about = {"uncertain_samples": stretch.lost} if stretch.is_about else {}
+            out.append(lost_samples(self._device, stretch.lost, stretch.lost * self._count.period_ns * 1e-9, **about))
         return [*out, self._batch(stretch)]
 
     def _batch(self, stretch: Stretch[list[Reading]]) -> Batch:

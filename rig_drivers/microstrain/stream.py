@@ -282,7 +282,7 @@ class MicroStrainPipeline:
             self.losses["samples"] += missing
             signal = {} if self.base_rssi_dBm is None else {"rssi_dBm": self.base_rssi_dBm}
             span_s = missing / self._settings.rate_Hz
-            out.append(lost_samples(self._device, missing, span_s, int(time_ns[0]), **signal))
+            out.append(lost_samples(self._device, missing, span_s, time_ns=int(time_ns[0]), **signal))
         out.append(Batch(channels.PENDULUMS, time_ns, sequence, self._angle_columns(used, sequence, device_ns)))
         if self._quantities is not None:
             columns = {name: used[:, 2 + k].copy() for k, name in enumerate(self._settings.quantities)}

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.displacement import gap
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
@@ -214,7 +213,7 @@ class EthernetPipeline:
         """Count samples that are missing before the next one."""
         self.losses["samples"] += lost
         facts = {"uncertain_samples": uncertain} if uncertain else {}
-        event = gap(self._device, lost, self._period_ns * 1e-9, **facts)
+        event = lost_samples(self._device, lost, lost * self._period_ns * 1e-9, **facts)
         return replace(event, text=("about " if uncertain else "") + event.text.replace("lost", why))
 
     def _rated(self, host_ns: int) -> Items:

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap
-from daq.drivers.displacement import gap, range_of
+from daq.drivers.displacement import range_of
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
 from rig_basics.texts import number_of
 from rig_drivers.riftek import wire
 from rig_drivers.riftek.arrivals import Arrivals, ResultRate
@@ -310,7 +310,7 @@ class RiftekPipeline:
             lost = int(step[i]) - 1
             self.losses["samples"] += lost
             facts = {"time_ns": int(time_ns[i]), "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS}
-            event = gap(self._device, lost, self._period_ns * 1e-9, **facts)
+            event = lost_samples(self._device, lost, lost * self._period_ns * 1e-9, **facts)
             text, facts = event.text, dict(event.facts)
             if rows.guessed[i] or (found_late and i == 0):
                 facts["uncertain_samples"] = self._arrivals.uncertainty

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.displacement import gap
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
@@ -127,7 +126,7 @@ class RiftekEthernetPipeline:
             lost = stretch.lost * wire.RESULTS
             self.losses["samples"] += lost
             self._next += lost
-            out.append(gap(self._device, lost, self._period_ns * 1e-9))
+            out.append(lost_samples(self._device, lost, lost * self._period_ns * 1e-9))
         return [*out, *(self._samples(packet, stretch.host_ns) for packet in stretch.rows)]
 
     def _identified(self, serial: int) -> Items:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, steps_from
-from daq.drivers.displacement import gap, range_of
+from daq.drivers.displacement import range_of
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.set_up_watch import SetUpWatch
 from daq.drivers.optoncdt.settings import Laser
@@ -20,7 +20,7 @@ from daq.drivers.optoncdt.true_rows import Rows, SampleTimes, TrueRows
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent
+from daq.items import TX, Batch, DeviceEvent, lost_samples
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
@@ -303,7 +303,7 @@ class LaserPipeline:
             self.losses["samples"] += lost
             period_s = self._true.period_ticks * optoncdt.TICK_S
             facts = {"time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])}
-            out.append(gap(self._device, lost, period_s, **facts))
+            out.append(lost_samples(self._device, lost, lost * period_s, **facts))
         return out
 
 

@@ -365,12 +365,12 @@ class NodePipeline:
         time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
         out: list[Batch | DeviceEvent] = [*held]
         if step is not None:
-            out.append(self._stepped(step, int(time_ns[0])))
+            out.append(self._stepped(step, time_ns=int(time_ns[0])))
         if not self._records_angles:
             return out
         if missing:
             self.losses["samples"] += missing
-            out.append(lost_samples(self._device, missing, missing * block.period_us * 1e-6, int(time_ns[0])))
+            out.append(lost_samples(self._device, missing, missing * block.period_us * 1e-6, time_ns=int(time_ns[0])))
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
     def _step_before(self, block: rotorlink.EncoderBlock, first_us: int, missing: int, fresh: int) -> Step | None:
