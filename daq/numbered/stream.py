@@ -116,6 +116,9 @@ class NumberedStream(Generic[R]):
         if place is None or (self._waiting and self._why != "sent earlier"):
             ready = [*ahead.end(), run]
         else:
+            newest = place + len(run.numbers) - 1
+            if place > self._place and self._is_in_time(self._late_ns(newest, run.host_ns), run.host_ns):
+                self._drop()  # the sender goes on counting
             ready = ahead.feed(place, run, self._place + 1)
         return [each for one in ready for each in self._fed(one)]
 
@@ -178,6 +181,9 @@ class NumberedStream(Generic[R]):
 
     def _late_ns(self, place: int, at_ns: int) -> float:
         return self._due.late_ns(place * self._number_ns, at_ns)
+
+    def _is_in_time(self, late_ns: float, at_ns: int) -> bool:
+        return -self._due.early_ns(at_ns) <= late_ns <= self._due.tolerance_ns(at_ns)
 
     def _cycles(self, late_ns: float, cycle_ns: float, at_ns: int) -> int:
         """Return the whole cycles in a lateness. A delay makes it longer, and only an error of the line shorter."""
@@ -245,8 +251,7 @@ class NumberedStream(Generic[R]):
         if here.missing == 0:
             return self._why != "jumped" or after.missing > 0
         if self._why == "sent earlier":
-            in_time = -self._due.early_ns(here.at_ns) <= here.late_ns <= self._due.tolerance_ns(here.at_ns)
-            return after.missing > 0 and in_time
+            return after.missing > 0 and self._is_in_time(here.late_ns, here.at_ns)
         return after.missing > 0 and here.missing == len(self._waiting)  # they stand where others are missing
 
     def _alone(self, here: Message[R]) -> list[Stretch[R]]:

@@ -468,7 +468,7 @@ def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
             return adapter_message(AdapterMessage.OPEN_REFUSED)
 
     with running() as bench:
-        bench.far = Refusing.of(controller(), bench.world)
+        bench.far = Refusing.of("motor", controller(), bench.world)
         bench.far.power(False, 0.0)
         with pytest.raises(DeviceError, match="but the adapter refused to open the bus"):
             bench.begin()

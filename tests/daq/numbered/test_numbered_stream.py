@@ -8,7 +8,7 @@ from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, strategies as st
+from hypothesis import assume, example, given, strategies as st
 
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
@@ -266,6 +266,7 @@ packets = st.builds(
     st.sets(st.integers(3, 50), max_size=8),
     st.dictionaries(st.integers(3, 50), st.integers(0, 9), max_size=8),
 )
+@example(Packets(16, 5.0, 0), {}, {7}, {3: 0, 4: 0, 5: 1, 6: 3})  # copies alone while others wait for a gap
 def test_packets_that_come_late_fill_their_gaps_and_copies_are_dropped(
     radio: Packets, late: dict[int, int], gone: set[int], again: dict[int, int]
 ) -> None:
