@@ -3,8 +3,8 @@
     python -m tests.run_documented_commands [WORD]     # only pages with this word in their path
 
 `make commands` does so. Each page has a folder of its own with the files that it takes for granted. What does not end
-by itself (a server, a long study, a test that waits for a hand) is interrupted as by Ctrl-C. `rig devices` searches
-the ports of this machine.
+by itself (a server, a test that waits for a hand) is interrupted as by Ctrl-C, and so is what is long (a demo, a
+study), which runs to its end only with RIG_TESTS_THOROUGH=1. `rig devices` searches the ports of this machine.
 """
 
 from __future__ import annotations
@@ -29,14 +29,20 @@ import numpy as np
 import scipy.io
 
 from daq import load_run
+from tests.effort import cases
 from tests.studies.small_maps import dask_processes
 from tests.studies.test_dask_studies import free_port
 from tests.test_documented_commands import PAGES, ROOT, in_blocks, text_of
 
-LIMIT_S, LONG_LIMIT_S, ENDING_S, STARTING_S = 20.0, 5.0, 15.0, 90.0
+LIMIT_S, ENDING_S, STARTING_S = 20.0, 15.0, 90.0
+LONG_LIMIT_S, ENDLESS_LIMIT_S = cases(5, 7200), 5
 LONG = re.compile(
-    r"rig (?:(?:basins|bench|calibrate|demo|live|map|reproduce|study|track LOG|driver check tilt --thorough)\b"
-    r"|check .*--tap|test \S+ \w(?!.*--plan)|record (?!.*--until-silent)|replay .*--to)"
+    r"rig (?:(?:basins|bench|demo|map|reproduce|study|track LOG|driver check tilt --thorough)\b"
+    r"|test \S+ \w(?!.*--plan)|record .*--duration)"
+)
+ENDLESS = re.compile(
+    r"rig (?:calibrate|live|check .*--tap|record (?!.*(?:--until-silent|--duration))|replay .*--to|test hand.toml"
+    r"|test .*--live)"
 )
 ORDERLY = {0, 130, -signal.SIGINT}  # after Ctrl-C, which may come while Python ends; a shell shows 130 then, too
 NOT_CARRIED_OUT = {"tls://SCHEDULER": "needs machines with certificates; see tests/studies/test_dask_over_tls.py"}
@@ -199,7 +205,8 @@ class PageRun:
         command = self.played_to(shown) if "/dev/pts/3" in shown else shown
         for word, meant in IN_PLACE.items():
             command = re.sub(rf"(?<!\w){word}(?!\w)", meant, command)
-        self.judge(shown, Started(command, self.folder), LONG_LIMIT_S if LONG.match(shown) else LIMIT_S)
+        limit_s = ENDLESS_LIMIT_S if ENDLESS.match(shown) else LONG_LIMIT_S if LONG.match(shown) else LIMIT_S
+        self.judge(shown, Started(command, self.folder), limit_s)
 
     def provide(self, command: str) -> None:
         """Copy from the demo what a command names and none before it has made; remove the file that it makes."""
