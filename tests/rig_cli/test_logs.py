@@ -20,8 +20,8 @@ from rig_cli.log_table import print_logs
 from rig_cli.logs import log, logs
 from rig_cli.words import length, printable, size
 from rig_configs import load_rig
+from tests.daq.catalogue.test_catalogue import make_log
 from tests.daq.small_log import write_small_log
-from tests.daq.test_catalogue import make_log
 
 app = App(name="rig")
 app.command(logs)

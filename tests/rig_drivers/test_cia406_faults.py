@@ -20,8 +20,8 @@ from rig_drivers.cia406.far_end import SimulatedEncoders
 from rig_drivers.cia406.played import PlayedEncoders
 from rig_drivers.cia406.stream import EncoderPipeline
 from rig_testing.bench import DriverBench
+from tests.daq.acquisition.test_device_check import healthy
 from tests.daq.can_text import rx, tx
-from tests.daq.test_device_check import healthy
 from tests.rig_drivers.test_cia406 import SYNC, Line, bench_of, identity, report, settings
 
 

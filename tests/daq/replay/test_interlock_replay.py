@@ -23,10 +23,10 @@ from daq.replay.interlocked import InterlockReplay, replay_interlocks
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
 from rig_configs.drivers import installed
+from tests.daq.acquisition.test_interlock_table import SCENARIOS
 from tests.daq.far_ends import START_NS
 from tests.daq.recorded_bench import RecordedBench
 from tests.daq.replayed_log import write_log
-from tests.daq.test_interlock_table import SCENARIOS
 
 
 def judged(path: Path, *settings: str, all_trips: bool = False) -> InterlockReplay:

@@ -11,7 +11,7 @@ from daq.items import RX, TX, Batch
 from daq.signals.run_clocks import clock_line
 from rig_configs import RigFileError, load_rig
 from rig_configs.roles import PendulumAngles
-from tests.daq.test_laser_scaling import blocks
+from tests.daq.drivers.optoncdt.test_laser_scaling import blocks
 
 DELAY_S = 0.003
 START_NS = 1_700_000_000_000_000_000

@@ -29,8 +29,8 @@ from daq.transports import HostClock, Link, open_link
 from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from daq.transports.wires import PtyWire, TcpWire
 from rig_configs import load_rig
+from tests.daq.replay.test_replay import FakeClock
 from tests.daq.replayed_log import IDENTITIES, START_NS, write_log
-from tests.daq.test_replay import FakeClock
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")
 KINDS = [pytest.param("pty", marks=needs_pty), "tcp"]

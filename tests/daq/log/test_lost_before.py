@@ -23,8 +23,8 @@ from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
 from rig_cli.logs import log as log_command
 from rig_configs import load_rig
+from tests.daq.catalogue.test_catalogue import make_log
 from tests.daq.small_log import device_bytes
-from tests.daq.test_catalogue import make_log
 
 START = 1_700_000_000_000_000_000
 LOST = 20 * (40 + 40 + 10 + 1 + 1 + 4)  # messages of one chunk: 20 steps of both lasers, angles, mark, motor, raw

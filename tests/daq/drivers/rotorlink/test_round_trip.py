@@ -18,8 +18,8 @@ from daq.items import RX, DeviceEvent
 from daq.transports.host_clock import HostClock
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from tests.daq.test_device_check import healthy
-from tests.daq.test_rotorlink_limits import START_NS, Line, mark
+from tests.daq.acquisition.test_device_check import healthy
+from tests.daq.drivers.rotorlink.test_rotorlink_limits import START_NS, Line, mark
 
 MS = 1_000_000
 

@@ -16,7 +16,7 @@ from daq.log.snapshot import identities_of, rig_of
 from daq.replay.stream import pipelines_with
 from rig_cli.main import run
 from rig_configs import load_rig
-from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
+from tests.daq.signals.test_signals import DISPLACEMENT_Y, START, batch
 
 WORDS = ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"]
 

@@ -279,7 +279,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(log_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
     )
     assert (done.returncode, done.stderr) == (0, "")  # HDF5 would crash on its own
     assert done.stdout.split("\n")[:-1] == [f"OSError {errno.EFBIG}"] * len(cases)

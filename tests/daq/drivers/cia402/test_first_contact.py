@@ -16,9 +16,9 @@ from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.transports.can_frames import open_bus, opens_bus
 from rig_configs import load_rig
-from tests.daq import test_cia402_limits as drive
 from tests.daq.can_text import rx
-from tests.daq.test_drive_setup import MappedDrive
+from tests.daq.drivers.cia402 import test_cia402_limits as drive
+from tests.daq.drivers.cia402.test_drive_setup import MappedDrive
 from tests.rig_drivers import test_cia406 as encoders, test_microstrain as radio, test_vesc_can as vesc
 
 OPENING = open_bus(500_000)

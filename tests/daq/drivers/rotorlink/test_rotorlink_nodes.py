@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq.drivers.rotorlink import wire as rotorlink
-from tests.daq.test_rotorlink_limits import Line, mark
+from tests.daq.drivers.rotorlink.test_rotorlink_limits import Line, mark
 
 
 def block(node: int, seq: int) -> bytes:

@@ -9,8 +9,8 @@ import pytest
 from daq.drivers.optoncdt.driver import DRIVER
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
-from tests.daq.test_lost_set_up import opened
-from tests.daq.test_rig_check import checked, failed
+from tests.daq.acquisition.test_rig_check import checked, failed
+from tests.daq.drivers.optoncdt.test_lost_set_up import opened
 
 
 @pytest.mark.parametrize(("code", "meaning"), [(262076, "no peak"), (262082, "laser is off"), (262090, "")])

@@ -12,7 +12,7 @@ from daq.errors import LinkLost
 from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
 
-SHIPPED = Path(__file__).parents[2] / "rig_configs" / "virtual.toml"
+SHIPPED = Path(__file__).parents[4] / "rig_configs" / "virtual.toml"
 
 
 def test_a_drive_that_ignores_the_missing_host_is_stopped_when_its_adapter_is_plugged_in_again(tmp_path: Path) -> None:

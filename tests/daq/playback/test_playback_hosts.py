@@ -16,8 +16,8 @@ from daq.items import RX
 from daq.log import Log, open_log
 from daq.playback import Playback, PlaybackState, played_devices
 from daq.transports.can_frames import CLOSE_BUS, CanFrame, encode, open_bus
+from tests.daq.replay.test_replay import FakeClock
 from tests.daq.replayed_log import write_log
-from tests.daq.test_replay import FakeClock
 
 LASERS = (b"OUTPUT NONE\n", b"GETINFO\n", b"OUTPUT RS422\n")
 START = open_bus(500_000) + encode(CanFrame(0, b"\x01\x05"))

@@ -20,7 +20,7 @@ from rig_configs import load_rig
 from rig_configs.error_label import ErrorLabel
 from rig_configs.schema import Rig
 from rig_configs.shared_errors import shared_source
-from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
+from tests.daq.signals.test_signals import DISPLACEMENT_Y, START, batch
 
 RIG = load_rig("virtual")
 UNSTATED = RIG.model_copy(

@@ -19,7 +19,7 @@ from daq.errors import DeviceError
 from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import Repeated
-from tests.daq.test_drive_setup import CONFIG, NODE, MappedDrive
+from tests.daq.drivers.cia402.test_drive_setup import CONFIG, NODE, MappedDrive
 
 
 def test_a_target_that_did_not_reach_the_drive_is_sent_again() -> None:

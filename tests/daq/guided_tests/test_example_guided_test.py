@@ -15,7 +15,7 @@ from daq import open_log
 from daq.log.outcome import not_reached_of
 from tests.example_wheel import python_with
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "rig_test_slow_roll"
 
 ROLL = """

@@ -17,7 +17,7 @@ from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 from tests.daq.far_ends import Bench
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 Scenario = Callable[[Bench], None]
 
 
