@@ -4,7 +4,8 @@
 
 `make commands` does so. Each page has a folder of its own with the files that it takes for granted. What does not end
 by itself (a server, a test that waits for a hand) is interrupted as by Ctrl-C, and so is what is long (a demo, a
-study), which runs to its end only with RIG_TESTS_THOROUGH=1. `rig devices` searches the ports of this machine.
+study), which runs to its end only with RIG_TESTS_THOROUGH=1. A command that a page indents twice is given when the one
+before it prompts for it. `rig devices` searches the ports of this machine.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -41,9 +42,11 @@ LONG = re.compile(
     r"|test \S+ \w(?!.*--plan)|record .*--duration)"
 )
 ENDLESS = re.compile(
-    r"rig (?:calibrate|live|check .*--tap|record (?!.*(?:--until-silent|--duration))|replay .*--to|test hand.toml"
-    r"|test .*--live)"
+    r"rig (?:calibrate|live|check .*--tap|record (?!.*(?:--until-silent|--duration))|replay .*--to"
+    r"|test \S+ (?:ring|spin)-down|test .*--live)"
 )
+AT_A_PROMPT = re.compile(r"^ {8}(rig virtual .*)$", re.MULTILINE)
+PROMPT, PROMPT_LIMIT_S = ">>> ", cases(20, 600)
 ORDERLY = {0, 130, -signal.SIGINT}  # after Ctrl-C, which may come while Python ends; a shell shows 130 then, too
 NOT_CARRIED_OUT = {"tls://SCHEDULER": "needs machines with certificates; see tests/studies/test_dask_over_tls.py"}
 OWN_CODES = {
@@ -120,9 +123,10 @@ class Started:
         """Return what it has written."""
         return Path(self.written).read_text("utf-8", "replace")
 
-    def wait_for(self, ready: Callable[[], bool]) -> None:
+    def wait_for(self, ready: Callable[[], bool], limit_s: float = STARTING_S) -> None:
         """Return when it is ready, or never will be."""
-        while not ready() and self.process.poll() is None and time.monotonic() < self.began + STARTING_S:
+        until = time.monotonic() + limit_s
+        while not ready() and self.process.poll() is None and time.monotonic() < until:
             time.sleep(0.05)
 
     def ended(self, limit_s: float) -> Ended:
@@ -196,8 +200,8 @@ class PageRun:
         self.running: list[Started] = []
         self.faults: list[str] = []
 
-    def carry_out(self, shown: str) -> None:
-        """Run one command to its end or limit; start a rig and go on when it has written its file."""
+    def carry_out(self, shown: str, at_prompts: Sequence[str] = ()) -> None:
+        """Run one command to its end or limit, and others at its prompts; only start a rig."""
         self.provide(shown)
         if rig := re.match(r"rig virtual (?:\w+ )?-o (\S+)", shown):
             self.start(shown, lambda _: (self.folder / rig[1]).exists())
@@ -205,8 +209,12 @@ class PageRun:
         command = self.played_to(shown) if "/dev/pts/3" in shown else shown
         for word, meant in IN_PLACE.items():
             command = re.sub(rf"(?<!\w){word}(?!\w)", meant, command)
-        limit_s = ENDLESS_LIMIT_S if ENDLESS.match(shown) else LONG_LIMIT_S if LONG.match(shown) else LIMIT_S
-        self.judge(shown, Started(command, self.folder), limit_s)
+        started = Started(command, self.folder)
+        for number, answer in enumerate(at_prompts, 1):
+            started.wait_for(lambda number=number: started.text().count(PROMPT) >= number, PROMPT_LIMIT_S)
+            self.carry_out(answer)
+        is_endless = ENDLESS.match(shown) and not at_prompts
+        self.judge(shown, started, ENDLESS_LIMIT_S if is_endless else LONG_LIMIT_S if LONG.match(shown) else LIMIT_S)
 
     def provide(self, command: str) -> None:
         """Copy from the demo what a command names and none before it has made; remove the file that it makes."""
@@ -255,11 +263,22 @@ def run_page(page: Path) -> list[str]:
         make_files(text, run.folder)
         if str(port) in text:
             stack.enter_context(dask_processes(run.folder, port))
-        for command in [*rig, *commands]:
-            run.carry_out(command)
+        for command, at_prompts in with_answers([*rig, *commands], set(AT_A_PROMPT.findall(text_of(page)))):
+            run.carry_out(command, at_prompts)
         for started in run.running:
             run.judge(started.command, started, 1.0)
     return run.faults
+
+
+def with_answers(commands: Sequence[str], answers: Set[str]) -> list[tuple[str, list[str]]]:
+    """Return the commands that are no answers, each with the answers that follow it."""
+    out: list[tuple[str, list[str]]] = []
+    for command in commands:
+        if command in answers and out:
+            out[-1][1].append(command)
+        else:
+            out.append((command, []))
+    return out
 
 
 def shown_on(page: Path) -> list[str]:

@@ -149,6 +149,17 @@ def test_a_page_states_the_code_that_a_command_ends_with() -> None:
     assert expected_of("rig log run.mcap   # a verdict; exit 3 when one fails") == {0}
 
 
+def test_commands_at_prompts_belong_to_the_one_that_prompts() -> None:
+    from tests.run_documented_commands import AT_A_PROMPT, with_answers
+
+    page = "    rig test my.toml spin-down\n        rig virtual flick\n    rig virtual stop\n"
+    answers = set(AT_A_PROMPT.findall(page))
+    assert with_answers(in_blocks(page), answers) == [
+        ("rig test my.toml spin-down", ["rig virtual flick"]),
+        ("rig virtual stop", []),
+    ]
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="groups of processes and a shell")
 def test_a_command_that_does_not_end_is_interrupted(tmp_path: Path) -> None:
     from tests.run_documented_commands import Ended, Started
