@@ -10,21 +10,17 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
-from types import FrameType
 from typing import Any
 
+from rig_basics.interruptions import FROM_TERMINALS, interruptions_held
 from rig_basics.lifeline import end_with_parent
 from rig_basics.log_output import show_log_as_parent
-
-_FROM_TERMINALS = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
-_INTERRUPTING = [*_FROM_TERMINALS, signal.SIGTERM]
 
 
 class WorkerProcess(SpawnProcess):
@@ -32,13 +28,13 @@ class WorkerProcess(SpawnProcess):
 
     def start(self) -> None:
         """Start the process. An interruption of this one is raised when the process has got its work."""
-        with _interruptions_held(), _children_deaf():
+        with interruptions_held(), _children_deaf():
             super().start()
 
     def run(self) -> None:
         """Carry out the work, in the new process."""
         show_log_as_parent()
-        for number in _FROM_TERMINALS:  # for Windows, where no process inherits it
+        for number in FROM_TERMINALS:  # for Windows, where no process inherits it
             signal.signal(number, signal.SIG_IGN)
         super().run()
 
@@ -93,36 +89,8 @@ def _children_deaf() -> Generator[None]:
     from multiprocessing import resource_tracker  # noqa: PLC0415 (not on Windows)
 
     resource_tracker.ensure_running()  # its start would end the blocking
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _FROM_TERMINALS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINALS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _interruptions_held() -> Generator[None]:
-    """Hold an interruption of this process until the end of the context; a second one is raised at once.
-
-    Only the main thread receives them.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    held = list[int]()
-
-    def hold(number: int, frame: FrameType | None) -> None:
-        held.append(number)
-        if len(held) > 1:
-            handlers[number](number, frame)
-
-    handlers = {number: each for number in _INTERRUPTING if callable(each := signal.getsignal(number))}
-    try:
-        for number in handlers:
-            signal.signal(number, hold)
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        if len(held) == 1:
-            signal.raise_signal(held[0])

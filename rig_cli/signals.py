@@ -53,6 +53,12 @@ def note_dropped(fault: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(fault)
 
 
+def forget_half_made() -> None:
+    """Print no errors of objects that an interruption left half made, such as a compiler's, when they are deleted."""
+    if sys.unraisablehook is note_dropped:  # in the command, not in a program that calls its functions
+        sys.unraisablehook = lambda fault: None
+
+
 def send_again(number: signal.Signals) -> None:
     """Send a signal to the main thread in a moment, when it has left the callback that dropped the first one."""
     if hasattr(signal, "pthread_kill"):

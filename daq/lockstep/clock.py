@@ -1,7 +1,8 @@
 """A simulated host clock whose time advances only during waits, in which the scheduled actions are run.
 
 An action belongs to the world (motion of the rig, a cable is unplugged) or to the host (a reader wakes up, a tick).
-While the host is busy its actions are delayed; actions of the world are not.
+While the host is busy its actions are delayed; actions of the world are not. Ctrl-C ends a wait between two actions:
+what they write and count remains whole, as in threads of their own.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.transports.host_clock import HostClock, Repeated
+from rig_basics.interruptions import interruptions_held
 
 START_NS = 1_700_000_000_000_000_000
 _MIN_WAIT_NS = 100_000  # least duration of a wait, so that loops of waits end
@@ -80,12 +82,21 @@ class SimulatedClock(HostClock):
         """
         if self._doing:
             raise WaitNeverEnds("an action of the simulated clock waits: expected an action that returns at once")
-        while not ready():
-            end_ns = max(when_ns, self._busy_until_ns)  # a wait does not end while the host is busy
-            if not self._due or self._due[0][0] > end_ns:
-                self._now_ns = max(self._now_ns, end_ns)
-                return
-            self._do_next()
+        while not self._passed(when_ns, ready):
+            pass  # an interruption that raises nothing does not end the wait
+
+    def _passed(self, when_ns: int, ready: Callable[[], bool]) -> bool:
+        """As `pass_until`, until an interruption; return whether it has ended without one."""
+        with interruptions_held() as held:
+            while not ready():
+                end_ns = max(when_ns, self._busy_until_ns)  # a wait does not end while the host is busy
+                if not self._due or self._due[0][0] > end_ns:
+                    self._now_ns = max(self._now_ns, end_ns)
+                    break
+                self._do_next()
+                if held:
+                    return False
+        return True
 
     def _do_next(self) -> None:
         when_ns, count, world, do = heapq.heappop(self._due)

@@ -72,6 +72,25 @@ def test_an_error_after_a_dropped_interruption_is_an_interruption(
     assert not list(temporary.iterdir())
 
 
+def test_what_an_interruption_left_half_made_prints_no_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A compiler's object that is deleted before it was made whole: its `__del__` fails after the interruption."""
+
+    class HalfMade:
+        def __init__(self) -> None:
+            interrupted()
+            self.whole = True
+
+        def __del__(self) -> None:
+            del self.whole
+
+    monkeypatch.setattr(sys, "unraisablehook", signals.note_dropped)
+    monkeypatch.setattr("rig_cli.model.load_rig", lambda *_, **__: HalfMade())
+    assert main.run(["predict", "virtual"]) == 130
+    assert capsys.readouterr().err == "rig: interrupted by SIGTERM\n"
+
+
 def test_where_nothing_can_be_written_the_report_goes_to_the_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, temporary: Path
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -57,6 +58,30 @@ def test_actions_of_a_busy_host_are_delayed_and_those_of_the_world_are_not() -> 
     clock.wait(0.05)
     assert done == [("world", 0.2), ("host", 0.5)]
     assert clock.wall_s() >= 0.5  # who waits wakes up when the host does
+
+
+def test_an_interruption_ends_a_wait_after_the_action() -> None:
+    """An action is whole: a recorder that is interrupted in the middle could not end its log."""
+    clock, done = SimulatedClock(), list[str]()
+
+    def interrupted() -> None:
+        signal.raise_signal(signal.SIGINT)
+        done.append("first")
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may run with an ignored Ctrl-C
+    try:
+        clock.after(1.0, interrupted)
+        clock.after(2.0, lambda: done.append("second"))
+        with pytest.raises(KeyboardInterrupt):
+            clock.wait(10.0)
+        assert (done, clock.wall_s()) == (["first"], 1.0)
+        seen = list[int]()
+        signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+        clock.after(0.0, interrupted)
+        clock.wait(10.0)
+        assert (done, clock.wall_s(), seen) == (["first", "first", "second"], 11.0, [signal.SIGINT])
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_actions_must_not_wait() -> None:
