@@ -46,7 +46,7 @@ ENDLESS = re.compile(
     r"|test \S+ (?:ring|spin)-down|test .*--live)"
 )
 AT_A_PROMPT = re.compile(r"^ {8}(rig virtual .*)$", re.MULTILINE)
-PROMPT, PROMPT_LIMIT_S = ">>> ", cases(20, 600)
+PROMPT, PROMPT_LIMIT_S = ">>> ", 300.0  # a test with prompts runs to its end
 ORDERLY = {0, 130, -signal.SIGINT}  # after Ctrl-C, which may come while Python ends; a shell shows 130 then, too
 NOT_CARRIED_OUT = {"tls://SCHEDULER": "needs machines with certificates; see tests/studies/test_dask_over_tls.py"}
 OWN_CODES = {
@@ -93,6 +93,13 @@ def expected_of(command: str) -> set[int]:
     if stated := re.search(r"# exit (\d+)$", command):
         return {int(stated[1])}
     return next((codes for begin, codes in OWN_CODES.items() if command.startswith(begin)), {0})
+
+
+def limit_of(command: str) -> float:
+    """Time after which a command is interrupted, s."""
+    if ENDLESS.match(command):
+        return ENDLESS_LIMIT_S
+    return LONG_LIMIT_S if LONG.match(command) else LIMIT_S
 
 
 class Started:
@@ -214,8 +221,7 @@ class PageRun:
         for number, answer in enumerate(at_prompts, 1):
             started.wait_for(lambda number=number: started.text().count(PROMPT) >= number, PROMPT_LIMIT_S)
             self.carry_out(answer)
-        is_endless = ENDLESS.match(shown) and not at_prompts
-        self.judge(shown, started, ENDLESS_LIMIT_S if is_endless else LONG_LIMIT_S if LONG.match(shown) else LIMIT_S)
+        self.judge(shown, started, PROMPT_LIMIT_S if at_prompts else limit_of(shown))
 
     def provide(self, command: str) -> None:
         """Copy from the demo what a command names and none before it has made; remove the file that it makes."""
