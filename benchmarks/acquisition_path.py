@@ -57,9 +57,9 @@ def ours(path: Path, reads: Reads) -> int:
     rig = load_rig("virtual")
     d = rig.devices
     pipelines = {
-        "laser_x": LaserPipeline("laser_x", d["laser_x"], channels.LASER_X, {}),
-        "laser_y": LaserPipeline("laser_y", d["laser_y"], channels.LASER_Y, {}),
-        "drive": DrivePipeline("drive", d["drive"]),
+        "laser_x": LaserPipeline("laser_x", d["laser_x"], {}),
+        "laser_y": LaserPipeline("laser_y", d["laser_y"], {}),
+        "drive": DrivePipeline("drive", d["drive"], {}),
     }
     rates, recent = RateWatches(d), Recent(90.0)
     interlocks = Interlocks(rig.limits, rig.roles, LeastMotion.of(rig), driving=True)

@@ -90,7 +90,7 @@ def write_raw_and_decoded(path: Path, reads: Reads) -> None:
 
     def fill(writer: BlockWriter) -> None:
         raw, motor = _raw_channel(writer), _sample_channel(writer, channels.MOTOR)
-        pipeline = DrivePipeline("drive", load_rig("virtual").devices["drive"])
+        pipeline = DrivePipeline("drive", load_rig("virtual").devices["drive"], {})
         for host_ns, _, text in reads:
             writer.add_message(raw, host_ns, host_ns, 0, channels.pack_raw(channels.RX, text))
             for item in pipeline.feed(RX, text, host_ns):

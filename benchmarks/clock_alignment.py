@@ -82,7 +82,8 @@ def mapped(device: Device, host: Host, tolerance_ppm: float, rng: np.random.Gene
             restarts.pop(0)
             now += RESTART_GAP_S
             first = now
-            clock, begun = ClockMap(tolerance_ppm), now  # as the pipelines do
+            clock.restart()  # as the pipelines do
+            begun = now
             now += device.read_s
         if any(at <= now < at + LINK_GAP_S[1] * 0.5 for at in device.gaps_s):
             continue

@@ -72,7 +72,7 @@ def laser_reads(count: int, seed: int = 1) -> Iterator[tuple[bytes, int]]:
 
 def laser_samples(count: int, seed: int = 1) -> LaserSamples:
     """Samples of a laser at 4 kHz, decoded from its bytes."""
-    pipeline = LaserPipeline("laser_x", load_rig("virtual").devices["laser_x"], channels.LASER_X, {})
+    pipeline = LaserPipeline("laser_x", load_rig("virtual").devices["laser_x"], {})
     batches: list[Batch] = []
     log_times: list[NDArray[np.int64]] = []
     for data, host_ns in laser_reads(count, seed):

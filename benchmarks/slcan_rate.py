@@ -28,7 +28,6 @@ import can
 import numpy as np
 
 from daq.acquisition.reader import DeviceReader
-from daq.channels import displacement_channel
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline
@@ -129,12 +128,12 @@ def displacements() -> Pipeline:
     settings = CanSensors.model_validate(
         {"driver": "dbc", "port": "p", "dbc_text": _DBC, "x": {"message": "X", **table}, "y": {"message": "Y", **table}}
     )
-    return CanPipeline("bus", settings, {f"laser/{a}": displacement_channel(f"laser/{a}") for a in "xy"}, {})
+    return CanPipeline("bus", settings, {})
 
 
 def drive() -> Pipeline:
     """Status and speed of a drive; node 5 sends the first message."""
-    return DrivePipeline("bus", MotorDrive.model_validate({"driver": "cia402", "port": "p", "node_id": 5}))
+    return DrivePipeline("bus", MotorDrive.model_validate({"driver": "cia402", "port": "p", "node_id": 5}), {})
 
 
 def ours(path: Path, size: int, make: Callable[[], Pipeline]) -> Callable[[str, Callable[[], None]], Result]:

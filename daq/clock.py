@@ -11,7 +11,7 @@ edge of the lower convex hull at the mean time) therefore gives offset and rate,
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -115,13 +115,17 @@ class ClockSeed:
         return at_ns + turn_ns * round((near_ns - at_ns) / turn_ns)
 
 
+_Bin = tuple[int, float, float, int]
+"""Number of a bin, time of its least delayed read on the device's clock and its lag, ns, and number of its reads."""
+
+
 class ClockMap:
     """Causal map of one device clock (ns, unwrapped) to the common clock (ns since 1970).
 
     A correction is applied at most for its time constant. Samples that are older than earlier samples do not change the
     map. A step of the host's clock (a computer that slept, a clock that was set) starts the estimate again. After a
     step forward the mapped time jumps; after a step back it runs at half its rate until it is right, since it never
-    steps back.
+    steps back. Nor does it after a new start of the device.
 
     Args:
         tolerance_ppm: standard uncertainty of the device's rate. The estimated rate is limited to ± 5 of them.
@@ -132,11 +136,21 @@ class ClockMap:
     """
 
     def __init__(self, tolerance_ppm: float, seed: ClockSeed | None = None) -> None:
-        self._seed = seed
         self._limit = 5e-6 * tolerance_ppm
         self._tolerance = 1e-6 * tolerance_ppm
-        self._bins: deque[tuple[int, float, float, int]] = deque(maxlen=_BINS)  # bin, device ns, lag ns, reads
-        self._late: list[tuple[int, float, float, int]] = []  # bins of the newest reads, if all of them are late
+        self._newest_ns = int(np.iinfo(np.int64).min)  # time of the newest sample so far
+        self._before_ns = self._newest_ns  # times after a new start are later than this
+        self._start(seed)
+
+    def restart(self) -> None:
+        """Begin a new map: the device's clock was reset. Its times are later than all before."""
+        self._before_ns = self._newest_ns
+        self._start(None)
+
+    def _start(self, seed: ClockSeed | None) -> None:
+        self._seed = seed
+        self._bins: deque[_Bin] = deque(maxlen=_BINS)
+        self._late: list[_Bin] = []  # bins of the newest reads, if all of them are late
         self._lateness = _FIRST_STD_NS  # mean, ns
         self._reads = 0
         self._device0 = 0
@@ -168,6 +182,10 @@ class ClockMap:
         if ahead[-1] > _SETTLE_NS:  # a gap
             lag -= self._correction * np.maximum(ahead - _SETTLE_NS, 0.0)
         times = relative + np.rint(lag).astype(np.int64) + self._host0
+        if times[0] <= self._before_ns:
+            times = np.maximum(times, self._before_ns + 1 + np.arange(len(times)))
+            self._before_ns = int(times[-1])
+        self._newest_ns = max(self._newest_ns, int(times[-1]))
         if learn and relative[-1] >= self._at:
             self._learn(float(relative[-1]), float(host_ns - self._host0 - int(relative[-1])))
         return times
@@ -198,24 +216,24 @@ class ClockMap:
         """Standard uncertainty of the time of the newest sample, without the least delay of its path, ns.
 
         It consists of the uncertainty of the line, the correction that is in progress, and the lateness of the newest
-        reads as far as it may be a step of the host's clock.
+        reads as far as it may be a step of the host's clock. Another thread may map samples meanwhile.
         """
-        if not self._bins:
+        bins, late = list(self._bins), list(self._late)
+        if not bins:
             return _FIRST_STD_NS
         unexplained = 0.0
-        if sum(entry[3] for entry in self._late) >= _LATE_READS:
-            unexplained = max(0.0, min(map(_lag_of, self._late)) - self._target(self._at)[0])
-        line = self._line_std_ns
+        if sum(entry[3] for entry in late) >= _LATE_READS:
+            unexplained = max(0.0, min(map(_lag_of, late)) - self._target(self._at)[0])
+        line = self._line_std_ns(bins)
         if not self._seeded:  # the first reads may all be late; the least of n delays decreases with 1/n
-            line = max(line, _FIRST_STD_NS / sum(entry[3] for entry in self._bins) ** 2)
+            line = max(line, _FIRST_STD_NS / sum(entry[3] for entry in bins) ** 2)
         return float(line + abs(self._target(self._at)[0] - self._lag) + unexplained)
 
-    @property
-    def _line_std_ns(self) -> float:
-        """Standard uncertainty of the line at its newest end, ns; there are reads."""
-        reads = sum(entry[3] for entry in self._bins)
+    def _line_std_ns(self, bins: Collection[_Bin]) -> float:
+        """Return the standard uncertainty of the line through some bins at its newest end, ns."""
+        reads = sum(entry[3] for entry in bins)
         line = _LEAST_STD_NS + _GAPS * max(self._lateness, _LEAST_JITTER_NS) / reads
-        return line if self._line else line + self._tolerance * (self._at - min(self._bins, key=_lag_of)[1])
+        return line if self._line else line + self._tolerance * (self._at - min(bins, key=_lag_of)[1])
 
     def _learn(self, device: float, lag: float) -> None:
         number = int(device // _BIN_NS)
@@ -241,7 +259,7 @@ class ClockMap:
         forward if none of many was in time and their least lags are equal: a delay would change.
         """
         late = lag - self._target(device)[0]
-        if late < -_EARLY_STEP_NS and late < -_EARLY_STDS * self._line_std_ns:
+        if late < -_EARLY_STEP_NS and late < -_EARLY_STDS * self._line_std_ns(self._bins):
             self.step_ns = round(late) if self._reads >= _STEP_READS else 0  # else the first reads were late
             self._begin_again([])
         if late < _LEAST_JITTER_NS + _LATE_SHARE * self._lateness:
@@ -263,7 +281,7 @@ class ClockMap:
             ahead = device - self._at
             self._lag += max(0.0, self._target(device)[0] - self._lag - self._slope * ahead)
 
-    def _begin_again(self, bins: list[tuple[int, float, float, int]]) -> None:
+    def _begin_again(self, bins: list[_Bin]) -> None:
         """Discard what was learned before a step, except these bins after it."""
         self._bins.clear()
         self._bins.extend(bins)
@@ -283,17 +301,17 @@ class ClockMap:
         self._line = (offset, slope)
 
     def _target(self, device: float) -> tuple[float, float]:
-        if self._line is None:
-            return min(map(_lag_of, self._bins), default=self._lag), 0.0
-        offset, slope = self._line
+        if (line := self._line) is None:
+            return min(map(_lag_of, list(self._bins)), default=self._lag), 0.0
+        offset, slope = line
         return offset + slope * device, slope
 
 
-def _lag_of(entry: tuple[int, float, float, int]) -> float:
+def _lag_of(entry: _Bin) -> float:
     return entry[2]
 
 
-def _with_read(entry: tuple[int, float, float, int], device: float, lag: float) -> tuple[int, float, float, int]:
+def _with_read(entry: _Bin, device: float, lag: float) -> _Bin:
     """Return a bin with one more read; it keeps the least lag."""
     number, at, least, reads = entry
     return (number, device, lag, reads + 1) if lag < least else (number, at, least, reads + 1)

@@ -69,19 +69,6 @@ class DeviceEvent:
     facts: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
-def lost_samples(device: str, lost: int, span_s: float, **facts: Any) -> DeviceEvent:
-    """Return the event of missing samples.
-
-    Args:
-        device: name of the device in the rig file.
-        lost: their number.
-        span_s: their duration, s.
-        facts: further facts, such as `time_ns`, the time of the sample after them.
-    """
-    text = f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)"
-    return DeviceEvent("gap", device, text, {"samples": lost, "span_s": span_s, **facts})
-
-
 def joined(arrived: Sequence[tuple[Batch, int]]) -> tuple[Batch, NDArray[np.int64]]:
     """Join batches of one channel.
 

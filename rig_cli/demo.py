@@ -208,29 +208,30 @@ class _Campaign:
                 tests = Procedures(session, operator, folder / "logs", self._progress.update, "", controls)
                 follow(setup.page, session, _stop_of(session, setup.far), {"log": str(folder)}, controls)
                 follow_session(setup.connection, session)
-                self._record_all(tests, plugged)
+                label = self._record_all(tests, plugged)
             radio = simulated.ask("state")
-        result = self._conclude(plugged, truth, tests.parameters)
+        result = self._conclude(plugged, truth, label)
         result["radio"] = _radio_checks(self._logs, radio)
         result["warnings"] += [session.rotor_warning] if session.rotor_warning else []
         return result
 
-    def _record_all(self, tests: Procedures, plugged: Rig) -> None:
-        """Record the tests before the points, identify from them, and record the points."""
+    def _record_all(self, tests: Procedures, plugged: Rig) -> str:
+        """Record the tests before the points, identify from them, record the points; return the parameters' name."""
         for test in (step for step in self._steps if step in _BEFORE_POINTS):
             self._record(tests, plugged, test)
         self._begin("identify")
         parameters = self._setup.folder / "parameters-before-points.toml"
         self._workbench.wait(self._workbench.identify(plugged, self._logs, parameters), self._progress.update)
-        tests.parameters = IdentifiedParameters.label(parameters)
+        label = IdentifiedParameters.label(parameters)
         identified = with_parameters(plugged, IdentifiedParameters.load(parameters))
         for point in (step for step in self._steps if point_of(step)):
-            self._record(tests, identified, point)
+            self._record(tests, identified, point, label)
             self._refinements.append(self._workbench.refine(plugged, self._logs[-1]))
+        return label
 
-    def _record(self, tests: Procedures, rig: Rig, test: str) -> None:
+    def _record(self, tests: Procedures, rig: Rig, test: str, parameters: str = "") -> None:
         self._begin(test)
-        done = run_test(tests, rig, test)
+        done = run_test(tests, rig, test, parameters)
         self._done.append(done)
         if done.missed:
             self._progress.notify(ending_words(done))
@@ -292,17 +293,16 @@ def _radio_check(path: Path, radio: Mapping[str, Any], since: int = 0) -> tuple[
     Returns:
         The comparison, and the number of the log's last frame.
     """
-    from daq.drivers.contract import CountsFrames
     from daq.replay.stream import decoded, pipelines_of
 
     with open_log(path) as log:
-        pipelines = pipelines_of(log)
-        counting = {name: each.pipeline for name, each in pipelines.items() if isinstance(each.pipeline, CountsFrames)}
-        for _ in decoded(log, {name: pipelines[name] for name in counting}):
+        numbered = {name: each for name, each in pipelines_of(log).items() if "radio_frames" in each.losses}
+        for _ in decoded(log, numbered):
             pass
         losses = loads(log.metadata["summary"]["losses"])
-    counted = sum(int(losses[name]["radio_frames"]) for name in counting)
-    heard = next((p.heard_frames for p in counting.values() if p.heard_frames is not None), None)
+    counted = sum(int(losses[name]["radio_frames"]) for name in numbered)
+    found = (each.pipeline.status.heard_frames for each in numbered.values())
+    heard = next((numbers for numbers in found if numbers is not None), None)
     if heard is None:
         return {"log": path.name, "counted": counted, "dropped": 0}, since
     first = since + (heard[0] - since) % 65536

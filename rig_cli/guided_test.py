@@ -241,9 +241,8 @@ def _run(wanted: GuidedTestRequest, options: TestRun, label: str, displays: _Dis
         follow_session(connection, session)
         operator = TerminalOperator(keyboard, prompted, live_page is not None)
         tests = Procedures(session, operator, options.out, page.update, options.note, controls)
-        tests.parameters = label
         try:
-            done = tests.carry_out(wanted)
+            done = tests.carry_out(wanted, label)
         except NotReached as why:
             early = why
     tracked = {"tracked": following.facts()} if following is not None else {}
@@ -301,10 +300,16 @@ def ending_words(done: TestDone) -> str:
     return f"{done.test} did not reach its end: {done.missed}" if done.missed else f"{done.test} done"
 
 
-def run_test(tests: Procedures, rig: Rig, name: str) -> TestDone:
-    """Run one guided test by its name; its speeds follow from the rig's (identified) k1 and k2.
+def run_test(tests: Procedures, rig: Rig, name: str, parameters: str = "") -> TestDone:
+    """Run one guided test by its name; its speeds follow from the rig's k1 and k2.
+
+    Args:
+        tests: runs it.
+        rig: the rig, with the identified parameters if there are any.
+        name: name of the test.
+        parameters: name of the identified parameters, for the log; empty without them.
 
     Raises:
         RigFileError: the rig cannot run it.
     """
-    return tests.carry_out(_asked(rig, name, {}))
+    return tests.carry_out(_asked(rig, name, {}), parameters)

@@ -25,7 +25,7 @@ from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.trips import Trips
 from daq.drivers.calibrated import Calibration
-from daq.drivers.contract import NoticesLostSetUp, Pipeline
+from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, Batch, DeviceEvent
@@ -92,6 +92,8 @@ class Core:
         bytes_in: number of bytes received, by device.
         gone: reason of the lost link, by device.
         mute: devices that have an open link and have sent nothing for `LINE_S`.
+        altered: devices that have an open link and send, but no longer as they were set up, each with what shows it.
+            They were reported.
         trips: findings of the interlocks in the log that is being recorded.
         host: lateness of the host.
     """
@@ -118,7 +120,8 @@ class Core:
         self._heard_ns: dict[str, int] = {}
         self.mute: set[str] = set()
         self._suspect: set[str] = set()
-        self._altered_before: dict[str, str] = {}  # devices in `altered`, as reported
+        self.altered: dict[str, str] = {}
+        self._lost_set_ups: dict[str, str] = {}  # as `altered`, found in bytes before this log
         self._watch_ns = self._health_ns = 0
         self._dropped_ns: int | None = None
         self._disk_slow = False
@@ -142,9 +145,7 @@ class Core:
         Returns:
             Content of the pre-trigger for the log: bytes with their samples, and the event that ended the run.
         """
-        for name, sign in self.altered.items():
-            if isinstance(pipeline := pipelines[name], NoticesLostSetUp):
-                pipeline.set_up_lost = sign  # from bytes before this log
+        self._lost_set_ups = self._found_lost_set_ups()
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
         self.recent.clear()
@@ -307,7 +308,7 @@ class Core:
     def back(self, device: str, port: str, now_ns: int) -> Iterator[Effect]:
         """Record that a device with a lost link streams again."""
         self.gone.pop(device, None)
-        self.rates.restart(device)
+        self._set_up(device)
         self._heard_ns[device] = now_ns
         yield Note(
             DeviceEvent("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns
@@ -315,7 +316,7 @@ class Core:
 
     def restored(self, device: str, now_ns: int) -> Iterator[Effect]:
         """Record that a device is set up again which was silent or sent something else."""
-        self.rates.restart(device)
+        self._set_up(device)
         yield Note(DeviceEvent("set_up", HOST, f"{device}: set up again", {"of": device}), now_ns)
 
     def warn(self, text: str) -> Iterator[Effect]:
@@ -367,7 +368,7 @@ class Core:
         if now_ns >= self._watch_ns:
             self._watch_ns = now_ns + round(_WATCH_PERIOD_S * 1e9)
             yield from self._look_for_silence(now_ns)
-            yield from self.report_lost_set_ups(now_ns)
+            yield from self._look_for_lost_set_ups(now_ns)
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
             facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
@@ -419,27 +420,29 @@ class Core:
             yield Note(DeviceEvent("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = silent, (self.mute | certain) & silent
 
-    def report_lost_set_ups(self, now_ns: int) -> Iterator[Effect]:
+    def _look_for_lost_set_ups(self, now_ns: int) -> Iterator[Effect]:
         """Warn of devices that send, but no longer as they were set up; of each once."""
-        found = self.altered if self.policy.commands and self.life.guarding else {}
-        for name, sign in found.items():
-            if self._altered_before.get(name) != sign:
+        found = self._found_lost_set_ups() if self.policy.commands and self.life.guarding else {}
+        unwell = {name: sign for name, sign in found.items() if name not in self.gone and name not in self.mute}
+        for name, sign in unwell.items():
+            if self.altered.get(name) != sign:
                 text = f"{name}: {sign}. It is set up again while the rotor is at rest"
                 yield Note(DeviceEvent("altered", HOST, text, {"of": name}), now_ns)
                 yield from self.warn(text)
-        self._altered_before = found
+        self.altered = unwell
+
+    def _found_lost_set_ups(self) -> dict[str, str]:
+        """Return the devices that send otherwise than they were set up, each with what shows it."""
+        signs = {name: pipeline.status.set_up_lost for name, pipeline in self.pipelines.items()}
+        return {**self._lost_set_ups, **{name: sign for name, sign in signs.items() if sign}}
+
+    def _set_up(self, name: str) -> None:
+        """Take note that a device was opened again, with all its settings."""
+        self.rates.restart(name)
+        self._lost_set_ups.pop(name, None)
+        self.altered = {other: sign for other, sign in self.altered.items() if other != name}
 
     # --- state ---------------------------------------------------------------------------------------------------
-
-    @property
-    def altered(self) -> dict[str, str]:
-        """Devices with an open link that send, but no longer as they were set up, each with what shows it."""
-        found = {
-            name: pipeline.set_up_lost
-            for name, pipeline in self.pipelines.items()
-            if isinstance(pipeline, NoticesLostSetUp)
-        }
-        return {name: sign for name, sign in found.items() if sign and name not in self.gone and name not in self.mute}
 
     @property
     def calm(self) -> bool:

@@ -15,7 +15,7 @@ from daq.acquisition.edge import Edge
 from daq.acquisition.effects import Effect, Note
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import ObservesIdentity, Poller, SendsByItself
+from daq.drivers.contract import Poller, SendsByItself
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -133,9 +133,10 @@ class Links:
                     self._start_stream(name, device)
 
     def _start_stream(self, name: str, device: Device) -> None:
-        self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
+        found = device.driver.open(name, device.settings, self._talk(name))
+        self._identities[name] = {"driver": device.driver.name, "port": device.line.port, **found}
         self._check_serial(name, device)
-        self._reported[name] = frozenset(self._identities[name]) - {"port"}
+        self._reported[name] = frozenset(found)
         if device.driver.poller is not None:
             self._pollers[name] = device.driver.poller(device.settings, partial(self.send, name), self._clock)
             self._pollers[name].start()
@@ -155,7 +156,7 @@ class Links:
                 f"{name} on {device.line.port}: serial number {wanted} is expected by the rig file, and {found} was "
                 f"found. Plug in the right device, or correct devices.{name}.serial"
             )
-        if not isinstance(self._core.pipelines[name], ObservesIdentity):  # such a pipeline compares by itself
+        if self._core.pipelines[name].status.learned is None:  # otherwise the pipeline compares by itself
             raise DeviceError(
                 f"{name}: serial number {wanted} is expected by the rig file, but such a device reports none. Remove "
                 f"devices.{name}.serial"
@@ -242,7 +243,6 @@ class Links:
         try:
             for name in list(core.gone):
                 yield from self.reopened(name, command)
-            yield from core.report_lost_set_ups(self._clock.now_ns())  # found between two checks
             for name in sorted(unwell - self.refused.keys()):
                 if (yield from self._woken(name, command)):
                     yield from core.restored(name, self._clock.now_ns())

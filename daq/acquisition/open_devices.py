@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 from daq.acquisition.core import Core
 from daq.acquisition.links import Links
 from daq.acquisition.rotor_command import RotorCommand
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, StatesClockError
+from daq.drivers.contract import PipelineStatus
 from daq.drivers.devices import Device
 from daq.items import DeviceEvent, loss_words
 from daq.transports import HostClock
@@ -82,9 +83,8 @@ class OpenDevices:
 
         Devices that never describe themselves return (True, "").
         """
-        with self._links.unread(name):
-            pipeline = self._core.pipelines[name]
-            return (pipeline.has_reported, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
+        status = self._status(name)
+        return status.has_reported, status.complaint
 
     def all_identified(self) -> bool:
         """Return whether every open device has described itself."""
@@ -93,12 +93,12 @@ class OpenDevices:
 
     def clock_stds_ns(self) -> dict[str, float]:
         """Return the stated standard uncertainty of the newest times, ns, by device with a clock."""
-        out: dict[str, float] = {}
-        for name, pipeline in self._core.pipelines.items():
-            with self._links.unread(name):
-                if isinstance(pipeline, StatesClockError):
-                    out[name] = pipeline.clock_std_ns
-        return out
+        found = {name: self._status(name).clock_std_ns for name in self._core.pipelines}
+        return {name: std_ns for name, std_ns in found.items() if not math.isnan(std_ns)}
+
+    def _status(self, name: str) -> PipelineStatus:
+        with self._links.unread(name):
+            return self._core.pipelines[name].status
 
     def own_checks(self, events: Iterable[DeviceEvent], rotor: RotorCommand) -> dict[str, Checks]:
         """Return the checks that the drivers make on their open devices, by device.

@@ -15,7 +15,6 @@ from daq.acquisition.effects import Note
 from daq.acquisition.links import Links
 from daq.acquisition.recorder import Disk, DiskState, Recorder
 from daq.drivers.calibrated import calibrations_of
-from daq.drivers.contract import HasClockSeed, ObservesIdentity
 from daq.drivers.devices import channels_of, make_pipelines
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
@@ -93,16 +92,16 @@ class SessionLog:
     def _store_identities(self) -> None:
         """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
         for name, pipeline in self._core.pipelines.items():
-            if isinstance(pipeline, ObservesIdentity):
-                with self._links.unread(name):
-                    self._identities.setdefault(name, {}).update(pipeline.learned)
+            with self._links.unread(name):
+                if learned := pipeline.status.learned:
+                    self._identities.setdefault(name, {}).update(learned)
 
     def _seeds(self) -> dict[str, dict[str, Any]]:
         """Return the states of the device clocks, so that the clock maps of the next log start with them."""
         seeds: dict[str, dict[str, Any]] = {}
         for name, pipeline in self._core.pipelines.items():
             with self._links.unread(name):
-                seed = pipeline.clock_seed if isinstance(pipeline, HasClockSeed) else None
+                seed = pipeline.status.clock_seed
             if seed is not None:
                 seeds[name] = asdict(seed)
         return seeds

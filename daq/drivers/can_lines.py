@@ -12,17 +12,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from daq.drivers.contract import Talk
 from daq.drivers.played import PlayedDevice
 from daq.items import RX, TX, DeviceEvent
-from daq.transports.can_frames import AdapterMessage, CanFrame, Decoded, FrameDecoder, encode, opens_bus
+from daq.transports.can_frames import CLOSE_BUS, AdapterMessage, CanFrame, Decoded, FrameDecoder, encode, opens_bus
 from rig_basics.texts import number_of
-
-ADAPTER_BAUD = 115_200
-"""Line rate of an adapter's serial port, baud; an adapter with USB ignores it."""
 
 _AGAIN_NS = 1_000_000_000
 _KEPT_FRAMES = 64  # sent frames with which a received command is compared
 _HEARTBEATS, _BOOT_UP = 0x700, b"\x00"  # identifiers of CANopen heartbeats, and the first one of a node
+
+
+def close_bus(settings: Any, talk: Talk) -> None:
+    """Close the bus at the adapter: the device is stopped, or is silent without the host's requests."""
+    talk.send(CLOSE_BUS)
 
 
 class CanLines:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import queue
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from daq.clock import ClockSeed
 from daq.items import Batch, DeviceEvent
+from rig_basics.texts import number_of
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
+
+
+ADAPTER_BAUD = 115_200
+"""Line rate of the serial port of an adapter to a bus, baud; an adapter with USB ignores it."""
 
 
 @dataclass(frozen=True)
@@ -20,17 +27,23 @@ class DeviceLine:
 
     Attributes:
         port: port in the notation of `daq.transports.open_link`.
-        baud: line rate of a serial port, baud.
+        baud: line rate of a serial port, baud; 0 of a port on the network.
         bitrate: bit rate of the CAN bus behind an adapter, bit/s; None without a bus.
         parity: parity of a serial port: none, even or odd.
         stop_bits: stop bits of a serial port.
     """
 
     port: str
-    baud: int
+    baud: int = 0
     bitrate: int | None = None
     parity: Literal["N", "E", "O"] = "N"
     stop_bits: Literal[1, 2] = 1
+
+    @classmethod
+    def of(cls, settings: Any) -> DeviceLine:
+        """Return the line with the port, rates, parity and stop bits that a device's settings have."""
+        given = {each.name: getattr(settings, each.name) for each in fields(cls) if hasattr(settings, each.name)}
+        return cls(**({"baud": ADAPTER_BAUD} if "bitrate" in given else {}) | given)
 
 
 @dataclass(frozen=True)
@@ -58,19 +71,57 @@ FOREIGN = "foreign_"
 """Prefix of the kinds of `Pipeline.losses` that count messages of other devices."""
 
 
-class Pipeline(Protocol):
+@dataclass(frozen=True)
+class PipelineStatus:
+    """What a pipeline has found about its device so far, in addition to samples and events.
+
+    The defaults are those of a device that reports nothing of itself and has no clock.
+
+    Attributes:
+        has_reported: whether the device has reported its own configuration; True if such a device does not report it.
+        complaint: the contradiction between this report and the rig file that makes the samples invalid; empty
+            without a contradiction.
+        set_up_lost: what shows that the device sends, but no longer as it was set up, for example after a power cut: a
+            clause for the operator, empty without such a sign. The session opens such a device again, as it does with
+            a silent one. The bytes sent by `Driver.open` reset it.
+        clock_seed: state of the map of the device's clock, with which the next log starts; None if the next log cannot
+            use it.
+        clock_std_ns: standard uncertainty of the newest sample's time, ns (`ClockMap.std_ns`); NaN if it is unknown.
+        learned: identity derived from the received bytes, part of the device's identity from the next log on; None if
+            the bytes of such a device do not identify it.
+        heard_frames: numbers, modulo 65536, of the first and of the newest frame received by radio; None before the
+            first.
+    """
+
+    has_reported: bool = True
+    complaint: str = ""
+    set_up_lost: str = ""
+    clock_seed: ClockSeed | None = None
+    clock_std_ns: float = math.nan
+    learned: Mapping[str, str | int] | None = None
+    heard_frames: tuple[int, int] | None = None
+
+
+class Pipeline(ABC):
     """Decoder of one device's bytes to samples and events. It does no I/O and reads no clock.
 
     Live recording and replay run the same object on the same bytes with the same host times. Decoding the raw bytes of
     a log again therefore reproduces its decoded channels bit for bit.
+
+    Args:
+        device: name of the device in the rig file.
+        kinds: kinds of losses that are counted.
 
     Attributes:
         losses: number of losses so far, by kind. A kind that begins with `FOREIGN` counts messages of other devices,
             which are not losses.
     """
 
-    losses: dict[str, int]
+    def __init__(self, device: str, *kinds: str) -> None:
+        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+        self._device = device
 
+    @abstractmethod
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """Decode the bytes of one read (RX) or one write (TX).
 
@@ -83,74 +134,28 @@ class Pipeline(Protocol):
         """
         ...
 
-
-@runtime_checkable
-class DescribesItself(Protocol):
-    """A pipeline of a device that reports its own configuration from time to time without a request.
-
-    Attributes:
-        has_reported: whether the device has reported it.
-        complaint: the contradiction between this report and the rig file that makes the samples invalid; empty
-            without a contradiction.
-    """
-
-    has_reported: bool
-    complaint: str
-
-
-@runtime_checkable
-class NoticesLostSetUp(Protocol):
-    """A pipeline that recognises a device which sends, but no longer as it was set up, for example after a power cut.
-
-    The session opens such a device again, as it does with a silent one.
-
-    Attributes:
-        set_up_lost: what shows it, a clause for the operator; empty if the bytes are as expected. The bytes sent by
-            `Driver.open` reset it.
-    """
-
-    set_up_lost: str
-
-
-@runtime_checkable
-class HasClockSeed(Protocol):
-    """A pipeline that maps its device's clock. The next log starts with this mapping, as part of the identity."""
-
     @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See ClockMap.seed."""
-        ...
+    def status(self) -> PipelineStatus:
+        """What has been found about the device. Another thread may call `feed` meanwhile."""
+        return PipelineStatus()
 
+    def skipped_bytes(self, count: int, unit: str) -> DeviceEvent:
+        """Count skipped bytes and return their event. `unit` is what they should be part of, for example "packet"."""
+        self.losses["bytes"] += count
+        belong = number_of(count, "byte skipped that belongs", "bytes skipped that belong")
+        return DeviceEvent("damage", self._device, f"{belong} to no {unit}", {"bytes": count})
 
-@runtime_checkable
-class StatesClockError(Protocol):
-    """A pipeline that maps its device's clock and states how well."""
+    def lost_samples(self, lost: int, span_s: float, **facts: Any) -> DeviceEvent:
+        """Count missing samples; return their event.
 
-    @property
-    def clock_std_ns(self) -> float:
-        """Standard uncertainty of the newest sample's time, ns; see ClockMap.std_ns."""
-        ...
-
-
-@runtime_checkable
-class ObservesIdentity(Protocol):
-    """A pipeline of a device that cannot be queried and is identified by the bytes that it sends."""
-
-    @property
-    def learned(self) -> Mapping[str, str | int]:
-        """Identity derived from the received bytes: part of the device's identity from the next log on."""
-        ...
-
-
-@runtime_checkable
-class CountsFrames(Protocol):
-    """A pipeline of frames that are received by radio.
-
-    Attributes:
-        heard_frames: numbers, modulo 65536, of the first and of the newest received frame; None before the first.
-    """
-
-    heard_frames: tuple[int, int] | None
+        Args:
+            lost: their number.
+            span_s: their duration, s.
+            facts: further facts, such as `time_ns`, the time of the sample after them.
+        """
+        self.losses["samples"] += lost
+        text = f"{number_of(lost, 'sample')} lost ({span_s * 1e3:.2f} ms)"
+        return DeviceEvent("gap", self._device, text, {"samples": lost, "span_s": span_s, **facts})
 
 
 class Talk(Protocol):

@@ -78,11 +78,6 @@ def parts_of(package: str) -> Callable[[str], Part]:
 # --- what most drivers have in common ---------------------------------------------------------------------------
 
 
-def _serial_line(settings: Any) -> DeviceLine:
-    """Return a serial line of the settings' `port` and `baud`."""
-    return DeviceLine(settings.port, settings.baud)
-
-
 def _no_channels(settings: Any) -> tuple[Channel, ...]:
     return ()
 
@@ -134,7 +129,7 @@ class Driver:
         pipeline: makes a new pipeline from the device's name, its settings, and its identity from `open`, empty if the
             device was not queried. It raises DeviceError if the identity is impossible for such a device.
         far_end: makes a simulated device from its name, its settings and a `daq.virtual_rig.world.World`.
-        line: returns the line of a device.
+        line: returns the line of a device; see DeviceLine.of.
         occasional: returns the channels that the device fills occasionally, such as index marks, which need a turning
             rotor.
         clocks: returns the clocks of those channels whose samples contain the time of a clock in the device.
@@ -179,7 +174,7 @@ class Driver:
     channels: Callable[[Any], tuple[Channel, ...]]
     pipeline: Callable[[str, Any, Mapping[str, Any]], Pipeline]
     far_end: Callable[[str, Any, Any], FarEnd]
-    line: Callable[[Any], DeviceLine] = _serial_line
+    line: Callable[[Any], DeviceLine] = DeviceLine.of
     occasional: Callable[[Any], tuple[Channel, ...]] = _no_channels
     clocks: Callable[[Any], tuple[SampleClock, ...]] = _host_time
     open: Callable[[str, Any, Talk], dict[str, Any]] = _not_queried

@@ -1,14 +1,15 @@
-"""Parts of a driver of a plain sensor: it sends a line for each sample, with its number, between two commands.
+"""Driver of a plain sensor: it sends a line for each sample, with its number, between two commands.
 
-`LinePipeline` decodes the lines, `SimulatedSensor` is the far end, and `PlayedSensor` the stand-in of a log. A driver
-adds what is its own: how a line is read and written, and which commands there are.
+`LineSensor` describes the lines and commands of a kind of sensors; the rest of their driver follows.
 """
 
 from __future__ import annotations
 
 import queue
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,20 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.clock import ClockMap, ClockSeed, Unwrap
-from daq.drivers.contract import SampleClock, Talk
+from daq.drivers.contract import Pipeline, PipelineStatus, SampleClock, Talk
+from daq.drivers.driver import Driver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
 from rig_configs.device import DeviceSettings
 
 _ANSWER_S = 1.0
 Items = list[Batch | DeviceEvent]
+Motion = Callable[[int, int], NDArray[np.floating]]
+"""The motion at the instants of samples, from the column of a value and that of its rate; see MotionInterval."""
 
 
 @dataclass(frozen=True)
@@ -44,53 +48,139 @@ class Reading:
     time: int = 0
 
 
-class LinePipeline:
+@dataclass(frozen=True)
+class Commands:
+    """Commands of a sensor, each a line of text; those that it does not have are empty.
+
+    Attributes:
+        start: begins the stream. Without it the sensor sends as long as it has power.
+        stop: ends the stream.
+        identify: queries the identity.
+        answer: the answer to this query, with names of the identity in braces for its words: "I {model} {serial}".
+        example: an identity, that of the simulated sensor.
+    """
+
+    start: str = ""
+    stop: str = ""
+    identify: str = ""
+    answer: str = ""
+    example: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def identity_in(self, text: str) -> dict[str, str] | None:
+        """Return the identity in an answer; None if it is none."""
+        words = re.sub(r"\\{(\w+)\\}", r"(?P<\1>\\S+)", re.escape(self.answer))
+        found = re.fullmatch(words, text)
+        return None if found is None else found.groupdict()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineSensor:
+    """One kind of sensors. Their settings have `topic` and `clock_tolerance_ppm`.
+
+    Attributes:
+        channel: returns the channel from the settings; the last two fields are the sample's number and the time of the
+            sensor's clock.
+        count: numbers and clock of the samples.
+        encode: returns the bytes of a line from its text.
+        parse: returns the sample of a line without its end, the text of an answer, or None for a damaged line.
+        lines: returns the bytes of samples of the simulated sensor from the settings, their numbers, shape (n,), and
+            the motion at their instants.
+        commands: the commands.
+        longest: bytes of the longest line, its end not counted.
+    """
+
+    channel: Callable[[Any], Channel]
+    count: Count
+    encode: Callable[[str], bytes]
+    parse: Callable[[bytes], Reading | str | None]
+    lines: Callable[[Any, NDArray[np.int64], Motion], bytes]
+    commands: Commands = Commands()
+    longest: int = 64
+
+    def driver(self, name: str, settings: type[DeviceSettings], **others: Any) -> Driver:
+        """Return the driver of the sensors.
+
+        Args:
+            name: its name.
+            settings: class of a sensor's table in the rig file.
+            others: further fields of Driver, for example `claims`.
+        """
+        return Driver(
+            name=name,
+            settings=settings,
+            channels=lambda settings: (self.channel(settings),),
+            clocks=self._clocks,
+            pipeline=partial(LinePipeline, self),
+            far_end=partial(SimulatedSensor, self),
+            played=partial(PlayedSensor, self),
+            open=self._open,
+            stop=self._stop,
+            **others,
+        )
+
+    def _clocks(self, settings: Any) -> tuple[SampleClock, ...]:
+        count, channel = self.count, self.channel(settings)
+        tick_ns = round(count.period_ns / (count.clock_step if count.clock_size else count.step))
+        rate_Hz, tolerance = 1e9 / count.period_ns, settings.clock_tolerance_ppm
+        return (SampleClock(channel.topic, rate_Hz, tolerance, channel.fields[-1][0], tick_ns, count.size),)
+
+    def _open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
+        """Query the identity, drop what an earlier stream left, and start."""
+        self._stop(settings, talk)
+        identity = self._queried(device, settings, talk) if self.commands.identify else {}
+        talk.restart_decoding()
+        _command(talk, self.commands.start)
+        return identity
+
+    def _queried(self, device: str, settings: Any, talk: Talk) -> dict[str, str]:
+        commands, place = self.commands, f"{device} on {settings.port}"
+        _command(talk, commands.identify)
+        try:
+            text = talk.replies.get(timeout=_ANSWER_S)
+        except queue.Empty:
+            raise DeviceError(
+                f"{place}: no answer to {commands.identify}. Is it powered, and the rate of its line right?"
+            ) from None
+        if (found := commands.identity_in(text)) is None:
+            raise DeviceError(f"{place}: expected {commands.answer!r} as answer to {commands.identify}, got {text!r}")
+        return found
+
+    def _stop(self, settings: Any, talk: Talk) -> None:
+        _command(talk, self.commands.stop)
+
+
+def _command(talk: Talk, text: str) -> None:
+    if text:
+        talk.send(f"{text}\n".encode())
+
+
+class LinePipeline(Pipeline):
     """Decoder of lines; see Pipeline.
 
     Args:
-        device: name of the device in the rig file.
-        channel: its channel; the last two fields are the sample's number and the time of the sensor's clock.
-        count: numbers and clock of its samples.
-        parse: returns the sample of a line without its end, a text for a reply, or None for a damaged line.
-        tolerance_ppm: standard uncertainty of the rate of the sensor's clock.
-        identity: the device's identity.
-        longest: bytes of the longest line, its end not counted.
+        sensor: kind of the sensor.
+        device: its name in the rig file.
+        settings, identity: of the sensor.
 
     Attributes:
         losses: see Pipeline. "samples": missing by their number; "damaged_lines": dropped.
     """
 
-    def __init__(
-        self,
-        device: str,
-        channel: Channel,
-        count: Count,
-        parse: Callable[[bytes], Reading | str | None],
-        tolerance_ppm: float,
-        identity: Mapping[str, Any],
-        longest: int = 64,
-    ) -> None:
-        self.losses: dict[str, int] = {"samples": 0, "damaged_lines": 0}
-        self._device, self._channel, self._count, self._parse = device, channel, count, parse
-        self._tolerance_ppm, self._longest = tolerance_ppm, longest
-        self._received, self._heard, self._last_ns = b"", False, 0
-        self._order = NumberedStream[list[Reading]](count, chained)
-        self._begin(ClockSeed.of(identity))
-
-    def _begin(self, seed: ClockSeed | None = None) -> None:
-        self._times = Unwrap(self._count.clock_size or 2**62)
-        self._clock = ClockMap(self._tolerance_ppm, seed)
+    def __init__(self, sensor: LineSensor, device: str, settings: Any, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "damaged_lines")
+        self._channel = sensor.channel(settings)
+        self._count, self._parse, self._longest = sensor.count, sensor.parse, sensor.longest
+        self._received, self._heard = b"", False
+        self._order = NumberedStream[list[Reading]](sensor.count, chained)
+        self._times = Unwrap(sensor.count.clock_size or 2**62)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
 
     @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
-
-    @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
+    def status(self) -> PipelineStatus:
+        """See Pipeline."""
         cycle = self._count.clock_size / self._count.clock_step or self._count.size / self._count.step
-        return self._clock.seed(round(cycle * self._count.period_ns))
+        seed = self._clock.seed(round(cycle * self._count.period_ns))
+        return PipelineStatus(clock_seed=seed, clock_std_ns=self._clock.std_ns)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -121,12 +211,12 @@ class LinePipeline:
     def _placed(self, stretch: Stretch[list[Reading]]) -> Items:
         out: Items = []
         if stretch.is_restart:
-            self._begin()
+            self._times = Unwrap(self._count.clock_size or 2**62)
+            self._clock.restart()
             out.append(DeviceEvent("restart", self._device, "its samples' number does not continue: it started again"))
         elif stretch.lost:
-            self.losses["samples"] += stretch.lost
             about = {"uncertain_samples": stretch.lost} if stretch.is_about else {}
-            out.append(lost_samples(self._device, stretch.lost, stretch.lost * self._count.period_ns * 1e-9, **about))
+            out.append(self.lost_samples(stretch.lost, stretch.lost * self._count.period_ns * 1e-9, **about))
         return [*out, self._batch(stretch)]
 
     def _batch(self, stretch: Stretch[list[Reading]]) -> Batch:
@@ -138,9 +228,6 @@ class LinePipeline:
                 count.period_ns / count.clock_step,
             )
         time_ns = self._clock.map(np.rint(own * tick).astype(np.int64), stretch.host_ns)
-        if time_ns[0] <= self._last_ns:  # a new map of a sensor that started again
-            time_ns = np.maximum(time_ns, self._last_ns + 1 + np.arange(len(time_ns)))
-        self._last_ns = int(time_ns[-1])
         *names, number, time = (name for name, _ in self._channel.fields)
         values = np.array([each.values for each in stretch.rows], float)
         sequence = (numbers % count.size).astype(np.uint32)
@@ -149,74 +236,51 @@ class LinePipeline:
         return Batch(self._channel, time_ns, sequence, columns)
 
 
-@dataclass(frozen=True)
-class Commands:
-    """Commands of a sensor, each a line.
+class _Console:
+    """The sensor's side of its commands.
 
     Attributes:
-        start: begins the stream; empty if the sensor sends as long as it has power.
-        stop: ends the stream.
-        answers: bytes of the answer to a command.
+        sends: whether it sends samples.
+        count: number of received lines.
     """
 
-    start: bytes = b""
-    stop: bytes = b""
-    answers: Mapping[bytes, bytes] = field(default_factory=dict[bytes, bytes])
-
-
-def line_clock(count: Count, field: str, settings: Any) -> tuple[SampleClock, ...]:
-    """Return the clock of a sensor with these samples.
-
-    Args:
-        count: numbers and clock of its samples.
-        field: the channel's field that contains the clock's time.
-        settings: the sensor's, with `topic` and `clock_tolerance_ppm`.
-    """
-    tick_ns = round(count.period_ns / (count.clock_step if count.clock_size else count.step))
-    rate_Hz, tolerance = 1e9 / count.period_ns, settings.clock_tolerance_ppm
-    return (SampleClock(settings.topic, rate_Hz, tolerance, field, tick_ns, count.size),)
-
-
-class _Console:
-    """The sensor's side of its commands."""
-
-    def __init__(self, commands: Commands) -> None:
-        self._commands, self._received = commands, b""
-        self._longest = max(map(len, [commands.start, commands.stop, *commands.answers]))
+    def __init__(self, sensor: LineSensor, identity: Mapping[str, Any]) -> None:
+        commands = sensor.commands
+        self._start, self._stop, self._identify = (
+            text.encode() for text in (commands.start, commands.stop, commands.identify)
+        )
+        self._answer = sensor.encode(commands.answer.format(**{**commands.example, **identity}))
+        self._received = b""
         self.sends: bool = not commands.start
         self.count: int = 0
 
     def hear(self, data: bytes) -> bytes:
         """Take bytes that may be cut anywhere; return the answers."""
-        *lines, self._received = (self._received + data).split(b"\n")
-        self._received = self._received[-self._longest - 1 :]
+        *lines, rest = (self._received + data).split(b"\n")
+        self._received = rest[-max(map(len, (self._start, self._stop, self._identify))) - 1 :]
         self.count += len(lines)
-        for line in lines:
-            if line and line in (self._commands.start, self._commands.stop):
-                self.sends = line == self._commands.start
-        return b"".join(self._commands.answers.get(line, b"") for line in lines)
+        out = b""
+        for line in filter(None, lines):
+            if line in (self._start, self._stop):
+                self.sends = line == self._start
+            out += self._answer if line == self._identify else b""
+        return out
 
 
 class SimulatedSensor(FarEnd):
     """Far end that sends a message for each period of its own clock.
 
     Args:
-        clock: clock of the device, `World.clock`.
-        period_s: period of its samples, s.
-        messages: returns the bytes of samples from their numbers, shape (n,), and the motion at their instants: a
-            function from the column of the value and that of its rate, see MotionInterval.
-        commands: its commands.
+        sensor: kind of the sensor.
+        device: its name in the rig file.
+        settings: its settings.
+        world: see `Driver.far_end`.
     """
 
-    def __init__(
-        self,
-        clock: Any,
-        period_s: float,
-        messages: Callable[[NDArray[np.int64], Callable[[int, int], NDArray[np.floating]]], bytes],
-        commands: Commands | None = None,
-    ) -> None:
-        self._clock, self._period_s, self._messages = clock, period_s, messages
-        self._console = _Console(commands or Commands())
+    def __init__(self, sensor: LineSensor, device: str, settings: Any, world: Any) -> None:
+        self._clock, self._period_s, self._settings = world.clock(device), 1e-9 * sensor.count.period_ns, settings
+        self._lines = sensor.lines
+        self._console = _Console(sensor, {})
         self._next: int | None = None
 
     def receive(self, data: bytes, now_s: float) -> bytes:
@@ -231,20 +295,21 @@ class SimulatedSensor(FarEnd):
         if not self._console.sends or not len(numbers):
             return b""
         times = np.clip(self._clock.rig_s(numbers * self._period_s), motion.time_s[0], motion.time_s[-1])
-        return self._messages(numbers, lambda value, rate: motion.at(times, value, rate))
+        return self._lines(self._settings, numbers, lambda value, rate: motion.at(times, value, rate))
 
 
 class PlayedSensor(PlayedDevice):
     """Stand-in that answers commands, and sends after the one that begins the stream.
 
     Args:
-        commands: its commands.
+        sensor: kind of the sensor.
+        settings, identity: of the sensor of the log.
     """
 
-    def __init__(self, commands: Commands) -> None:
+    def __init__(self, sensor: LineSensor, settings: Any, identity: Mapping[str, Any]) -> None:
         super().__init__()
-        self._console = _Console(commands)
-        self.expects: str = commands.start.decode("ascii", "replace")
+        self._console = _Console(sensor, identity)
+        self.expects: str = sensor.commands.start
 
     @property
     def sending(self) -> bool:
@@ -260,20 +325,3 @@ class PlayedSensor(PlayedDevice):
         answer = self._console.hear(data)
         self.commands: int = self._console.count
         return answer
-
-
-def asked(device: str, settings: DeviceSettings, talk: Talk, request: bytes) -> str:
-    """Send a request and return the answer.
-
-    Raises:
-        DeviceError: there is none.
-        LinkLost: the connection to the device is lost.
-    """
-    talk.send(request)
-    try:
-        return talk.replies.get(timeout=_ANSWER_S)
-    except queue.Empty:
-        last = request.split(b"\n")[-2].decode("ascii", "replace")
-        raise DeviceError(
-            f"{device} on {settings.port}: no answer to {last}. Is it powered, and the rate of its line right?"
-        ) from None

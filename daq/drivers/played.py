@@ -47,22 +47,25 @@ class PlayedDevice:
 
     Args:
         source: filter that selects the device's bytes from those of the log.
+        sends: whether it sends without a command.
     """
 
     expects = ""
 
-    def __init__(self, source: BytesFromDevice | None = None) -> None:
+    def __init__(self, source: BytesFromDevice | None = None, *, sends: bool = True) -> None:
         self.commands = self.unfollowed = 0
         self.withheld_bytes: int = 0
         self._source = source or OneWay()
+        self._sends = sends
 
     @property
     def sending(self) -> bool:
         """Whether the bytes of the log are sent."""
-        return True
+        return self._sends
 
     def begin(self) -> None:
         """Send from now on without a command: a host that only receives does not configure the device."""
+        self._sends = True
 
     def hear(self, data: bytes) -> bytes:
         """Take bytes from the host and return the answer."""

@@ -29,8 +29,6 @@ class Procedures:
 
     Attributes:
         controls: see above.
-        parameters: name of the identified parameters from which the speeds follow; "" for those of the rig file. It is
-            written to every log.
     """
 
     def __init__(
@@ -44,16 +42,19 @@ class Procedures:
     ) -> None:
         self.controls: Controls = controls or Controls()
         self._rig = session.rig
-        self.parameters: str = ""
         self._runner = Runner(lambda wait: RigCommands(session, operator, folder, progress, note, wait), self.controls)
 
-    def run(self, test: str, rig: Rig | None = None, *, point: str = "", **numbers: float) -> TestDone:
+    def run(
+        self, test: str, rig: Rig | None = None, *, point: str = "", parameters: str = "", **numbers: float
+    ) -> TestDone:
         """Run one guided test.
 
         Args:
             test: name of the test, as in `test_inputs.requested_test`.
             rig: rig with the (identified) parameters from which the speeds follow; the session's rig if None.
             point: name of a point; empty without one.
+            parameters: name of the identified parameters from which the speeds follow, for the log; empty for those of
+                the rig file.
             numbers: numbers that replace the defaults, by name.
 
         Raises:
@@ -61,16 +62,16 @@ class Procedures:
             NotReached: the test ended before its log began.
             AcquisitionError: an interlock or a device ended the test.
         """
-        return self.carry_out(requested_test(rig or self._rig, test, numbers, point))
+        return self.carry_out(requested_test(rig or self._rig, test, numbers, point), parameters)
 
-    def carry_out(self, wanted: GuidedTestRequest) -> TestDone:
+    def carry_out(self, wanted: GuidedTestRequest, parameters: str = "") -> TestDone:
         """Run a requested test; see `run`."""
         if wanted.kind.combined is None:
-            return self._once(wanted, "")
+            return self._once(wanted, "", parameters)
         count, runs = int(wanted.numbers["count"]), list[TestDone]()
         for number in range(1, count + 1):
             try:
-                runs.append(self._once(wanted, f"{number} of {count}"))
+                runs.append(self._once(wanted, f"{number} of {count}", parameters))
             except NotReached as early:
                 if not runs:
                     raise
@@ -79,9 +80,9 @@ class Procedures:
                 break
         return _whole(wanted, runs, runs[-1].missed if runs[-1].aborted else "", runs[-1].aborted)
 
-    def _once(self, wanted: GuidedTestRequest, number: str) -> TestDone:
+    def _once(self, wanted: GuidedTestRequest, number: str, parameters: str) -> TestDone:
         numbers = {name: f"{value:.7g}" for name, value in wanted.numbers.items()}
-        optional = {"parameters": self.parameters, "point": wanted.point, "run": number}
+        optional = {"parameters": parameters, "point": wanted.point, "run": number}
         facts = numbers | {name: text for name, text in optional.items() if text}
         return self._runner.run(wanted, wanted.kind.table(wanted), facts)
 

@@ -74,8 +74,8 @@ class Rehearsal:
             AcquisitionError: an interlock or a device ended the test.
         """
         rig = self.rig if parameters is None else with_parameters(self.rig, parameters)
-        self._tests.parameters = "" if parameters is None else "identified parameters"
-        return self._tests.run(test, rig, point="", **numbers)
+        name = "" if parameters is None else "identified parameters"
+        return self._tests.run(test, rig, point="", parameters=name, **numbers)
 
     def change(self, setting: str) -> None:
         """Change the simulated hardware, as a person changes a real rig between two tests.

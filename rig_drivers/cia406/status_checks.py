@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import SpeedControl
+from daq.items import DeviceEvent
+from rig_drivers.cia406.settings import EncoderBus
 from rig_drivers.cia406.stream import EncoderPipeline
 
 _MAX_UNSAMPLED_SHARE = 0.02  # of the periods; a busy host misses a few
@@ -23,14 +27,18 @@ _UNSAMPLED = (
 )
 
 
-def encoder_checks(pipeline: EncoderPipeline, emergencies: Sequence[str]) -> Checks:
-    """Return the checks of open encoders.
+def emergency_words(event: DeviceEvent) -> str:
+    """Return the text of an emergency; empty if it has ended."""
+    code = int(event.facts["error_code"])
+    return f"of encoder {event.facts['encoder']}: {cia301.emergency_words(code)}" if code else ""
 
-    Args:
-        pipeline: their pipeline.
-        emergencies: errors that they have reported during the check.
-    """
+
+def encoder_checks(
+    settings: EncoderBus, pipeline: EncoderPipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+) -> Checks:
+    """Return the checks of open encoders; see Driver.checks."""
     losses = pipeline.losses
+    emergencies = [words for event in events if event.kind == "emergency" and (words := emergency_words(event))]
     found = list(dict.fromkeys([*emergencies, *pipeline.faults]))
     missing, unsampled = losses["reports"], losses["unsampled"]
     periods = max(1, pipeline.syncs + unsampled)

@@ -17,6 +17,7 @@ from daq import channels
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.objects import answer_text
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
@@ -34,7 +35,7 @@ Items = Iterator[Batch | DeviceEvent]
 _AGAIN_NS = 1_000_000_000
 
 
-class EncoderPipeline:
+class EncoderPipeline(Pipeline):
     """Decoder of the frames of the bus.
 
     Attributes:
@@ -44,7 +45,6 @@ class EncoderPipeline:
             too late; "invalid": reports that are too short, beyond the encoder's range, or of an encoder that started
             again; "late": SYNCs that left the host late, so that their samples are missing; "foreign_syncs" are SYNCs
             of another host.
-        has_reported, complaint: see DescribesItself.
 
     Args:
         device: name of the device in the rig file.
@@ -55,13 +55,12 @@ class EncoderPipeline:
         DeviceError: the identity is impossible.
     """
 
-    has_reported = True
-
     def __init__(self, device: str, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
-        kinds = ("samples", "unsampled", "reports", "heartbeats", "unasked", "invalid", "late", "foreign_syncs")
-        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
-        self.complaint: str = ""
-        self._device, self._settings = device, settings
+        super().__init__(
+            device, "samples", "unsampled", "reports", "heartbeats", "unasked", "invalid", "late", "foreign_syncs"
+        )
+        self._complaint = ""
+        self._settings = settings
         self._lines = CanLines(device, self.losses)
         encoders = settings.encoders
         self._contacts = {each.name: FirstContact() for each in encoders}
@@ -103,6 +102,11 @@ class EncoderPipeline:
         self._asked_ns = 0  # host time of the newest SYNC, whose …
         self._shaft_seen = self._left_late = False  # … report of the shaft has come, and shows that it left late
         self._radian = 2 * math.pi / per_turn
+
+    @property
+    def status(self) -> PipelineStatus:
+        """See Pipeline."""
+        return PipelineStatus(complaint=self._complaint)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -234,8 +238,8 @@ class EncoderPipeline:
     def _heartbeat(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         watch = self._watches[name]
         yield from watch.heartbeat(frame, host_ns)
-        if watch.restarted and not self.complaint:
-            self.complaint = f"{watch.name} started again: its set-up is gone. Open the rig again"
+        if watch.restarted and not self._complaint:
+            self._complaint = f"{watch.name} started again: its set-up is gone. Open the rig again"
 
     def _emergency(self, name: str, frame: CanFrame, host_ns: int) -> Items:
         yield from self._watches[name].emergency(frame)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.channels import Channel
 from daq.items import Batch, DeviceEvent
 from rig_drivers.dbc.layouts import MessageLayout
-from rig_drivers.dbc.settings import CanSensors
+from rig_drivers.dbc.settings import CanSensors, quantity_channel
 from rig_drivers.dbc.silence import SilenceWatch
 
 
@@ -20,10 +19,10 @@ class QuantityStream:
         watch: watch of its silence.
     """
 
-    def __init__(self, device: str, settings: CanSensors, name: str, channel: Channel) -> None:
+    def __init__(self, device: str, settings: CanSensors, name: str) -> None:
         table = settings.quantities[name]
         self.message: MessageLayout = settings.message(table.message)
-        self._channel, self._number = channel, 0
+        self._channel, self._number = quantity_channel(name, table), 0
         self._signals = {field: self.message.signals[signal] for field, signal in table.fields.items()}
         self._invalid = {field: settings.invalid_raw(table.invalid, signal) for field, signal in self._signals.items()}
         self.watch: SilenceWatch = SilenceWatch(device, f"{self.message.name} (can/{name})", table.timeout_s)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.channels import DEVICE_TICK_S, Channel
+from daq.channels import DEVICE_TICK_S, displacement_channel
 from daq.clock import ClockMap, ClockSeed
 from daq.items import Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
@@ -51,7 +51,6 @@ class LaserStream:
     """Decoder of the frames of one group. Displacement is 0 in the middle of the range.
 
     Args:
-        by_topic: channels of the device.
         seed: seed of the clock's map.
         losses: losses of the device, which are counted here.
 
@@ -65,22 +64,20 @@ class LaserStream:
         device: str,
         settings: CanSensors,
         group: LaserGroup,
-        by_topic: Mapping[str, Channel],
         seed: ClockSeed | None,
         losses: dict[str, int],
     ) -> None:
         self.message: MessageLayout = group.message
         self._device, self._group, self._losses = device, group, losses
-        self._lasers = [_Laser(settings, table, signal, by_topic[table.topic]) for table, signal in group.lasers]
+        self._lasers = [_Laser(settings, table, signal) for table, signal in group.lasers]
         table = group.lasers[0][0]
         self._period_ns = 1e9 / table.rate_Hz
-        self._tolerance_ppm = table.clock_tolerance_ppm
-        self._clock = ClockMap(self._tolerance_ppm, seed)
+        self._clock = ClockMap(table.clock_tolerance_ppm, seed)
         self._frames = None if group.counter is None else self._counting(group.counter)
         self._times = None if group.timestamp is None else self._timing(group.timestamp)
         # a doubt, no fault: silent displacements are an interlock of the host
         self.watch: SilenceWatch = SilenceWatch(device, self.message.name, settings.timeout_s, "doubt")
-        self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one
+        self._number, self._last_ns = 0, 0  # of the next sample without a counter; time of the newest one without both
 
     def _counting(self, counter: SignalLayout) -> NumberedStream[Frames]:
         """Return the order of frames by their counter; a timestamp shows how often it begins again in a gap."""
@@ -95,7 +92,7 @@ class LaserStream:
 
     @property
     def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
+        """State of the sensor's clock; None without one."""
         group = self._group
         if group.timestamp is not None:
             return self._clock.seed(round(_size(group.timestamp) * group.tick_ns))
@@ -160,21 +157,15 @@ class LaserStream:
         return out
 
     def _started_again(self) -> Items:
-        self._clock = ClockMap(self._tolerance_ppm)
+        self._clock.restart()
         text = f"the numbers of {self.message.name} do not continue: the sensor started again"
         return [DeviceEvent("restart", self._device, text)]
 
     def _batches(self, frames: Frames, own_ns: NDArray[np.int64] | None, host_ns: int) -> Items:
         """Return samples; `own_ns` are their times on the sensor's clock, ns, shape (n,)."""
         data = frames.data
-        time_ns = self._host_times(len(data), host_ns)
-        if own_ns is None:
-            own_ns = time_ns
-        else:
-            time_ns = self._clock.map(own_ns, host_ns)
-            if time_ns[0] <= self._last_ns:  # a new map of a sensor that started again
-                time_ns = np.maximum(time_ns, self._last_ns + 1 + np.arange(len(time_ns)))
-        self._last_ns = int(time_ns[-1])
+        time_ns = self._host_times(len(data), host_ns) if own_ns is None else self._clock.map(own_ns, host_ns)
+        own_ns = time_ns if own_ns is None else own_ns
         sequence = (frames.numbers % 2**32).astype(np.uint32)
         ticks = (own_ns // _TICK_NS).astype(np.uint64)
         out: Items = []
@@ -188,7 +179,9 @@ class LaserStream:
     def _host_times(self, count: int, host_ns: int) -> NDArray[np.int64]:
         """Return increasing times of samples of which the last arrived at the time of the read, shape (n,)."""
         spread = host_ns - np.rint(np.arange(count - 1, -1, -1) * self._period_ns).astype(np.int64)
-        return np.maximum(spread, self._last_ns + 1 + np.arange(count))
+        times = np.maximum(spread, self._last_ns + 1 + np.arange(count))
+        self._last_ns = int(times[-1])
+        return times
 
     def _lost(self, stretch: Stretch[Frames]) -> Items:
         """Count lost frames and return their event."""
@@ -227,8 +220,8 @@ def _numbers(number: SignalLayout, data: NDArray[np.uint8]) -> NDArray[np.int64]
 class _Laser:
     """Conversion of one signal to a displacement."""
 
-    def __init__(self, settings: CanSensors, table: LaserSignal, signal: SignalLayout, channel: Channel) -> None:
-        self.signal, self.channel = signal, channel
+    def __init__(self, settings: CanSensors, table: LaserSignal, signal: SignalLayout) -> None:
+        self.signal, self.channel = signal, displacement_channel(table.topic)
         sign = 1.0 if table.positive == "away" else -1.0
         self._sensor_m = sign * settings.unit_m(table, signal)
         self._middle, self._lever, self._half_m = table.middle, table.lever_ratio, 0.5 * table.range_m

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
+from daq.channels import Channel
 from rig_configs.device import DISPLACEMENT_CALIBRATION, DeviceSettings, SampledTable
 from rig_configs.roles import Axis, OtherQuantity, Role
 from rig_configs.table import Finite, NotNegative, Positive, RigTable
@@ -238,3 +239,8 @@ class CanSensors(DeviceSettings):
                 f"signal {name} is in all frames, {laser.name} in some (multiplexed): it cannot be counted"
             )
         return found
+
+
+def quantity_channel(name: str, quantity: Quantity) -> Channel:
+    """Return the channel of a quantity from the name of its table."""
+    return Channel(f"can/{name}", f"rig.Can_{name}", tuple((field, "double") for field in quantity.fields))

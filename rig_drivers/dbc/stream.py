@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.channels import Channel
 from daq.clock import ClockSeed
 from daq.drivers.can_lines import CanLines
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import EXTENDED
 from rig_basics.texts import number_of
@@ -26,7 +26,7 @@ from rig_drivers.dbc.settings import CanSensors
 Items = list[Batch | DeviceEvent]
 
 
-class CanPipeline:
+class CanPipeline(Pipeline):
     """Decoder of one bus.
 
     Attributes:
@@ -35,27 +35,22 @@ class CanPipeline:
             cannot be right; "invalid": samples without a reading; "foreign_frames": frames of other messages.
     """
 
-    def __init__(
-        self, device: str, settings: CanSensors, by_topic: Mapping[str, Channel], identity: Mapping[str, Any]
-    ) -> None:
-        self.losses: dict[str, int] = dict.fromkeys(
-            ("samples", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
-        )
-        self._device = device
+    def __init__(self, device: str, settings: CanSensors, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "short_frames", "doubtful_frames", "invalid", "foreign_frames")
         self._lines = CanLines(device, self.losses)
         groups = settings.groups()
         seed = ClockSeed.of(identity) if len(groups) == 1 else None
         self._bus_ns: int | None = None  # time of the newest frame
-        self._lasers = [LaserStream(device, settings, group, by_topic, seed, self.losses) for group in groups]
-        others = [QuantityStream(device, settings, name, by_topic[f"can/{name}"]) for name in settings.quantities]
+        self._lasers = [LaserStream(device, settings, group, seed, self.losses) for group in groups]
+        others = [QuantityStream(device, settings, name) for name in settings.quantities]
         self._streams: dict[tuple[int, bool], list[LaserStream | QuantityStream]] = {}
         for stream in (*self._lasers, *others):
             self._streams.setdefault((stream.message.frame_id, stream.message.extended), []).append(stream)
 
     @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed; a bus with several clocks has none."""
-        return self._lasers[0].clock_seed if len(self._lasers) == 1 else None
+    def status(self) -> PipelineStatus:
+        """See Pipeline. A bus with several clocks has no seed."""
+        return PipelineStatus(clock_seed=self._lasers[0].clock_seed if len(self._lasers) == 1 else None)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""

@@ -244,7 +244,7 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
     return identity | {"scan_rate_Hz": start_stream(settings, identity["model"], commands)}
 
 
-def stop_device(talk: Talk) -> None:
+def stop_device(settings: LabJack, talk: Talk) -> None:
     """End the stream.
 
     Raises:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import DeviceLine, Pipeline, Poller, SampleClock, SpeedControl, Talk
+from daq.drivers.contract import SampleClock, SpeedControl
 from daq.drivers.driver import Driver, parts_of
-from daq.drivers.identification import Announcement
 from daq.drivers.plain import TICK_NS
 from daq.items import DeviceEvent
-from rig_drivers.labjack.settings import LabJack, other_topic
-
-if TYPE_CHECKING:
-    from daq.transports.host_clock import HostClock
+from rig_drivers.labjack.settings import LabJack, other_channel
 
 _NUMBER_WRAP = 2**32
 _EXAMPLE = {
@@ -27,25 +22,10 @@ _EXAMPLE = {
 }
 
 
-def _announcement() -> Announcement:
-    """Return how a device answers the search request of its maker."""
-    from rig_drivers.labjack.identity import ANNOUNCEMENT
-
-    return ANNOUNCEMENT
-
-
-def _line(settings: LabJack) -> DeviceLine:
-    """Return a TCP connection, which has no rate."""
-    return DeviceLine(settings.port, 0)
-
-
 def _channels(settings: LabJack) -> tuple[Channel, ...]:
     """Return the channels of lasers and other quantities."""
     lasers = [channels.displacement_channel(laser.topic) for laser in settings.lasers.values()]
-    others = [
-        Channel(other_topic(name), f"rig.Analogue_{name}", ((other.quantity, "double"), ("scan", "fixed32")))
-        for name, other in settings.others.items()
-    ]
+    others = [other_channel(name, other) for name, other in settings.others.items()]
     return (*lasers, *others)
 
 
@@ -62,39 +42,10 @@ def _clocks(settings: LabJack) -> tuple[SampleClock, ...]:
     )
 
 
-def _pipeline(device: str, settings: LabJack, identity: Mapping[str, Any]) -> Pipeline:
-    from rig_drivers.labjack.stream import LabJackPipeline
-
-    return LabJackPipeline(device, settings, {c.topic: c for c in _channels(settings)}, identity)
-
-
-def _poller(settings: LabJack, send: Callable[[bytes], None], clock: HostClock) -> Poller:
-    """Return reads of the stream, and of the errors of refused ones."""
-    from daq.drivers.polling import Request, RequestLoop
-    from rig_drivers.labjack import wire
-    from rig_drivers.labjack.dialogue import ANSWER_S
-    from rig_drivers.labjack.poller import StreamReads
-
-    read = partial(wire.stream_request, inputs=len(settings.scan_list))
-    return StreamReads(RequestLoop(Request(read, b"", settings.read_period_s, ANSWER_S), send, clock), send)
-
-
 def _checks(settings: LabJack, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
     """Return the origin of the inputs' scales."""
     warning, own = str(pipeline.warning), "from its flash"
     return {"scales": DeviceCheck("nominal" if warning else own, own, not warning, warning)}
-
-
-def _open(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
-    from rig_drivers.labjack.dialogue import open_device
-
-    return {"driver": "labjack", "port": settings.port, **open_device(device, settings, talk)}
-
-
-def _stop(settings: LabJack, talk: Talk) -> None:
-    from rig_drivers.labjack.dialogue import stop_device
-
-    stop_device(talk)
 
 
 _part = parts_of("rig_drivers.labjack")
@@ -104,16 +55,15 @@ DRIVER = Driver(
     rest_s=0.002,
     example=_EXAMPLE,
     claims=frozenset({"falls silent"}),
-    line=_line,
     channels=_channels,
     occasional=_marks,
     clocks=_clocks,
-    pipeline=_pipeline,
-    poller=_poller,
+    pipeline=_part("stream:LabJackPipeline"),
+    poller=_part("poller:StreamReads"),
     checks=_checks,
     far_end=_part("far_end:SimulatedLabJack.of"),
     played=_part("played:PlayedLabJack"),
-    open=_open,
-    stop=_stop,
-    announcement=_announcement,
+    open=_part("dialogue:open_device"),
+    stop=_part("dialogue:stop_device"),
+    announcement=_part("identity:announcement"),
 )

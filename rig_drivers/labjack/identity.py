@@ -44,4 +44,6 @@ def found(data: bytes, sender: str) -> NetworkDevice | None:
     return NetworkDevice(network_port(sender, _COMMAND_PORT), FoundDevice({"serial": serial}, identity))
 
 
-ANNOUNCEMENT = Announcement(0, found, wire.request(_SEARCH_NUMBER, IDENTITY_READS), _SEARCH_PORT)
+def announcement() -> Announcement:
+    """Return how a device answers the search request of its maker."""
+    return Announcement(0, found, wire.request(_SEARCH_NUMBER, IDENTITY_READS), _SEARCH_PORT)

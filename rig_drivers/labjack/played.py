@@ -28,7 +28,7 @@ class PlayedLabJack(PlayedDevice):
     expects = "the command that starts the stream"
 
     def __init__(self, settings: LabJack, identity: Mapping[str, Any]) -> None:
-        super().__init__()
+        super().__init__(sends=False)
         model = identity.get("model", "T7")
         if model not in ("T4", "T7"):
             raise LogError(f"identities.json: expected the model T4 or T7, got {model!r:.40}")
@@ -49,16 +49,6 @@ class PlayedLabJack(PlayedDevice):
         blank = str(identity.get("constants", "")).startswith("nominal")
         flash = BLANK_FLASH if blank else encode_constants(model, of_place)
         self._registers: dict[int, bytes] = {**answers, Register.FLASH: flash}
-        self._open = False
-
-    @property
-    def sending(self) -> bool:
-        """See PlayedDevice."""
-        return self._open
-
-    def begin(self) -> None:
-        """See PlayedDevice."""
-        self._open = True
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. Stream reads, and reads of their errors, are not answered: the log has their answers."""
@@ -76,5 +66,5 @@ class PlayedLabJack(PlayedDevice):
             if value is None:
                 out += self._registers.get(register, b"").ljust(2 * count, b"\0")[: 2 * count]
             elif register == Register.STREAM_ENABLE:
-                self._open = any(value)
+                self._sends = any(value)
         return out

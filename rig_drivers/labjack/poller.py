@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import partial
 
-from daq.drivers.polling import RequestLoop
+from daq.drivers.polling import Request, RequestLoop
 from daq.errors import LinkLost
+from daq.transports.host_clock import HostClock
 from rig_basics.ignoring import ignoring
 from rig_drivers.labjack import wire
+from rig_drivers.labjack.dialogue import ANSWER_S
+from rig_drivers.labjack.settings import LabJack
 from rig_drivers.labjack.wire import Register
 
 _log = logging.getLogger(__name__)
@@ -22,12 +26,14 @@ class StreamReads:
     """Sends stream reads; see Poller. The pipeline explains a refused read by the answer to the read of its error.
 
     Args:
-        loop: sends the stream reads.
+        settings: table of the device in the rig file.
         send: writes bytes to the device's link, and to the log.
+        clock: clock for the periods and the time-out.
     """
 
-    def __init__(self, loop: RequestLoop, send: Callable[[bytes], None]) -> None:
-        self._loop, self._send = loop, send
+    def __init__(self, settings: LabJack, send: Callable[[bytes], None], clock: HostClock) -> None:
+        read = partial(wire.stream_request, inputs=len(settings.scan_list))
+        self._loop, self._send = RequestLoop(Request(read, b"", settings.read_period_s, ANSWER_S), send, clock), send
         self._decoder = wire.MessageDecoder()
 
     def start(self) -> None:

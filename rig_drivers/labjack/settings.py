@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from daq.channels import Channel
 from rig_basics.texts import number_of
 from rig_configs.device import DeviceSettings, DisplacementTable
 from rig_configs.roles import OtherQuantity, Role, RotorPhase
@@ -186,16 +187,19 @@ class LabJack(DeviceSettings):
         """Return the roles; see DeviceSettings."""
         rate, tolerance = self.scan_rate_Hz, self.clock_tolerance_ppm
         lasers = [laser.sensor(device, rate, tolerance) for laser in self.lasers.values()]
-        others = [OtherQuantity(device, other_topic(name), (each.quantity,)) for name, each in self.others.items()]
+        others = [
+            OtherQuantity(device, other_channel(name, each).topic, (each.quantity,))
+            for name, each in self.others.items()
+        ]
         if self.tacho is None:
             return (*lasers, *others)
         angle, std = self.tacho.index_angle_deg, self.tacho.index_angle_std_deg
         return (*lasers, RotorPhase(device, "tacho", angle, tolerance, std), *others)
 
 
-def other_topic(name: str) -> str:
-    """Return the topic of another quantity from the name of its table."""
-    return f"analogue/{name}"
+def other_channel(name: str, other: AnalogueQuantity) -> Channel:
+    """Return the channel of another quantity from the name of its table."""
+    return Channel(f"analogue/{name}", f"rig.Analogue_{name}", ((other.quantity, "double"), ("scan", "fixed32")))
 
 
 def _address(name: str) -> int:

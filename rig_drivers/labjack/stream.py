@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.channels import Channel
 from daq.clock import ClockMap
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.drivers.index_marks import MarkSequence
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.due_line import DueLine
@@ -25,7 +25,7 @@ from rig_basics.texts import number_of
 from rig_drivers.labjack import wire
 from rig_drivers.labjack.marks import IndexMarks
 from rig_drivers.labjack.scans import Counts, CutAnswer, ScanCutter, have_no_value
-from rig_drivers.labjack.settings import LabJack
+from rig_drivers.labjack.settings import LabJack, other_channel
 from rig_drivers.labjack.volts import VoltScale, nominal
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
@@ -44,7 +44,7 @@ _ENDED = (wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 Items = list[Batch | DeviceEvent]
 
 
-class LabJackPipeline:
+class LabJackPipeline(Pipeline):
     """Decoder of one device's answers.
 
     Attributes:
@@ -52,14 +52,13 @@ class LabJackPipeline:
             start of the stream (both estimated); "bytes": skipped; "refused": stream reads that the device refused;
             "invalid": voltages beyond the output of a displacement sensor, or above the range of its input.
         warning: text of the device's identity about nominal scales; empty if all are those of its flash.
-        set_up_lost: see NoticesLostSetUp: the scans have another pace than that of the set-up.
     """
 
-    def __init__(
-        self, device: str, settings: LabJack, of_topic: Mapping[str, Channel], identity: Mapping[str, Any]
-    ) -> None:
-        self.losses: dict[str, int] = dict.fromkeys(("samples", "bytes", "refused", "invalid"), 0)
-        self._device, self._settings, self._channels = device, settings, of_topic
+    def __init__(self, device: str, settings: LabJack, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "bytes", "refused", "invalid")
+        self._settings = settings
+        self._lasers = [(each, channels.displacement_channel(each.topic)) for each in settings.lasers.values()]
+        self._others = [(each, other_channel(name, each)) for name, each in settings.others.items()]
         self.warning: str = str(identity.get("warning", ""))
         rate = identity.get("scan_rate_Hz")
         self._period_ns = 1e9 / (rate if isinstance(rate, float) and rate > 0 else settings.scan_rate_Hz)
@@ -69,7 +68,7 @@ class LabJackPipeline:
         }
         self._inputs = len(settings.scan_list)
         self._decoder = wire.MessageDecoder()
-        self.set_up_lost: str = ""
+        self._set_up_lost = ""  # the scans have another pace than that of the set-up
         sequence = MarkSequence(device, self.losses)
         self._marks = None if settings.tacho is None else IndexMarks(settings.tacho, self._period_ns, sequence)
         self._skips = False  # whether scans are being skipped: the age of samples is unknown
@@ -81,17 +80,20 @@ class LabJackPipeline:
         self._refusals = 0  # in a row
         self._scan_ns: int | None = None  # time of the newest scan
         self._standing: set[str] = set()  # conditions that were reported and have not ended
-        self._begin_clock()
+        self._clock = ClockMap(settings.clock_tolerance_ppm)
+        self._has_learned = False  # whether the clock's map has seen a read whose age is known
+        self._begin_due()
 
     @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError. The inputs of a scan are read one after the other, but have the same time."""
-        return math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
+    def status(self) -> PipelineStatus:
+        """See Pipeline. The inputs of a scan are read one after the other, but have the same time."""
+        std_ns = math.hypot(self._clock.std_ns, (self._inputs - 1) * _INPUT_NS / math.sqrt(3.0))
+        return PipelineStatus(set_up_lost=self._set_up_lost, clock_std_ns=std_ns)
 
     def _begin_clock(self) -> None:
         """Begin with scans whose numbers do not continue those before with certainty."""
-        self._clock = ClockMap(self._settings.clock_tolerance_ppm)
-        self._has_learned = False  # whether the clock's map has seen a read whose age is known
+        self._clock.restart()
+        self._has_learned = False
         self._begin_due()
 
     def _begin_due(self) -> None:
@@ -106,12 +108,7 @@ class LabJackPipeline:
         found = self._decoder.feed(data)
         out: Items = []
         if found.skipped_bytes:
-            self.losses["bytes"] += found.skipped_bytes
-            foreign = number_of(
-                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
-            )
-            text = f"{foreign} to a message"
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            out.append(self.skipped_bytes(found.skipped_bytes, "message"))
         for message in found.messages:
             if message.number == wire.ERROR_NUMBER:
                 out += self._explained(message)
@@ -133,7 +130,7 @@ class LabJackPipeline:
             self._started_ns = self._start[1]
             self._cutter.begin()
             self._begin_due()
-            self.set_up_lost = ""
+            self._set_up_lost = ""
         self._start = None
 
     def _refused(self, message: wire.Message) -> Items:
@@ -214,7 +211,7 @@ class LabJackPipeline:
         self._due_ns = self._due_ns or host_ns
         if host_ns - self._due_ns > _PACE_NS and abs(1 / self._due.pace - 1) > _OTHER_PACE:
             rate_Hz = 1e9 / self._period_ns
-            self.set_up_lost = (
+            self._set_up_lost = (
                 f"its scans come at about {rate_Hz / self._due.pace:.0f} Hz instead of {rate_Hz:.0f} Hz, so that their "
                 "times are wrong: another program has set up its stream. End that program"
             )
@@ -327,7 +324,7 @@ class LabJackPipeline:
         volts = {name: self._scales[name].volts(scans[:, place]) for name, place in column.items()}
         over = {name: scans[:, place] == wire.NO_VALUE for name, place in column.items()}
         sequence = number.astype(np.uint32)
-        for laser in self._settings.lasers.values():
+        for laser, channel in self._lasers:
             values = volts[laser.input]
             share = (values - laser.near_V) / (laser.far_V - laser.near_V) - 0.5
             share[(np.abs(share) > _MOST_SHARE) | over[laser.input]] = np.nan
@@ -339,9 +336,8 @@ class LabJackPipeline:
                 "device_ticks": (device_ns // _TICK_NS).astype(np.uint64),
                 "flags": np.zeros(len(scans), np.uint32),
             }
-            out.append(Batch(self._channels[laser.topic], time_ns, sequence, columns))
-        for name, other in self._settings.others.items():
-            channel = self._channels[f"analogue/{name}"]
+            out.append(Batch(channel, time_ns, sequence, columns))
+        for other, channel in self._others:
             value = (volts[other.input] - other.zero_V) * other.per_V
             value[over[other.input]] = np.nan
             out.append(Batch(channel, time_ns, sequence, {other.quantity: value, "scan": sequence}))
@@ -351,7 +347,8 @@ class LabJackPipeline:
         """Return the times of scans on the common clock, and the event about a step of the clock."""
         learn = not self._skips
         if learn and not self._has_learned:  # times until here had no known age
-            self._clock, self._has_learned = ClockMap(self._settings.clock_tolerance_ppm), True
+            self._clock.restart()
+            self._has_learned = True
         time_ns = self._clock.map(device_ns, sent_ns, learn=learn)
         self._scan_ns = int(time_ns[-1])
         step_ns = self._clock.step_ns

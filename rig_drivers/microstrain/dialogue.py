@@ -55,7 +55,7 @@ def open_node(device: str, settings: MicroStrainNode, talk: Talk) -> dict[str, A
     dialogue.start()
     dialogue.set_beacon(dialogue.next_second())
     base_names = {f"base_{name}": value for name, value in base.items()}
-    return {"driver": "microstrain", "port": settings.port, **node, **base_names, **dialogue.beacon_lag()}
+    return {**node, **base_names, **dialogue.beacon_lag()}
 
 
 def stop_node(settings: MicroStrainNode, talk: Talk) -> None:

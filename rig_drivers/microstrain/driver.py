@@ -7,16 +7,16 @@ revolution does not show how many whole turns passed while packets were lost.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import Pipeline, Poller, SampleClock, SpeedControl
+from daq.drivers.contract import Poller, SampleClock, SpeedControl
 from daq.drivers.driver import Driver, parts_of
 from daq.items import DeviceEvent
-from rig_drivers.microstrain.settings import MicroStrainNode
+from rig_drivers.microstrain.settings import MicroStrainNode, quantity_channel
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -36,26 +36,14 @@ _EXAMPLE = {  # potentiometers of ten turns: their output does not repeat
 
 def _channels(settings: MicroStrainNode) -> tuple[Channel, ...]:
     """Return the pendulums' angles, and further quantities if the rig file has any."""
-    further = _quantities(settings)
+    further = quantity_channel(settings)
     return (channels.PENDULUMS,) if further is None else (channels.PENDULUMS, further)
-
-
-def _quantities(settings: MicroStrainNode) -> Channel | None:
-    """Return the channel of the further quantities; None without any."""
-    fields = tuple((name, "double") for name in settings.quantities)
-    return Channel("node", "rig.NodeSample", fields) if fields else None
 
 
 def _clocks(settings: MicroStrainNode) -> tuple[SampleClock, ...]:
     """Return the beacon's clock."""
     rate, tolerance = settings.rate_Hz, settings.clock_tolerance_ppm
     return (SampleClock(channels.PENDULUMS.topic, rate, tolerance, "node_time_us", 1000, 2**32),)
-
-
-def _pipeline(device: str, settings: MicroStrainNode, identity: Mapping[str, Any]) -> Pipeline:
-    from rig_drivers.microstrain.stream import MicroStrainPipeline
-
-    return MicroStrainPipeline(device, settings, identity, _quantities(settings))
 
 
 def _poller(settings: MicroStrainNode, send: Callable[[bytes], None], clock: HostClock) -> Poller:
@@ -91,7 +79,7 @@ DRIVER = Driver(
     measured=frozenset({"beacon_lag_ns"}),
     channels=_channels,
     clocks=_clocks,
-    pipeline=_pipeline,
+    pipeline=_part("stream:MicroStrainPipeline"),
     poller=_poller,
     checks=_checks,
     far_end=_part("far_end:SimulatedMicroStrain.of"),

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from daq.channels import Channel
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import USUAL_ZERO_STD_DEG, OtherQuantity, PendulumAngles, Role
 from rig_configs.table import Finite, NotNegative, Positive
@@ -117,3 +118,9 @@ class MicroStrainNode(DeviceSettings):
         if not self.quantities:
             return (angles,)
         return angles, OtherQuantity(device=device, topic="node", fields=tuple(self.quantities))
+
+
+def quantity_channel(settings: MicroStrainNode) -> Channel | None:
+    """Return the channel of the further quantities; None without any."""
+    fields = tuple((name, "double") for name in settings.quantities)
+    return Channel("node", "rig.NodeSample", fields) if fields else None

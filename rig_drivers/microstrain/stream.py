@@ -17,17 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.channels import Channel
 from daq.clock import ClockMap, ClockSeed
-from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
-from rig_basics.texts import number_of
 from rig_drivers.microstrain import wire
 from rig_drivers.microstrain.answers import Answer, beacon_of
 from rig_drivers.microstrain.framing import PacketSearch
 from rig_drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
-from rig_drivers.microstrain.settings import MicroStrainNode
+from rig_drivers.microstrain.settings import MicroStrainNode, quantity_channel
 
 BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
@@ -52,27 +51,23 @@ Rows = NDArray[np.void]
 """Sweeps: time of the beacon, `ns`, and `values` of the used channels, shape (n,)."""
 
 
-class MicroStrainPipeline:
+class MicroStrainPipeline(Pipeline):
     """Decoder of a node's packets behind a base station.
 
     Attributes:
         losses: see Pipeline. "samples": missing by tick and time; "damaged_packets": intact packets with impossible
             content; "bytes": skipped; "foreign_packets": of other nodes.
-        has_reported, complaint: see DescribesItself; every packet has the node's channels and rate.
-        set_up_lost: see NoticesLostSetUp; the command that sets the beacon resets it.
         base_rssi_dBm, node_rssi_dBm: signal strength of the newest packet, dBm; None if unknown.
     """
 
-    def __init__(
-        self, device: str, settings: MicroStrainNode, identity: Mapping[str, Any], quantities: Channel | None
-    ) -> None:
-        self.losses: dict[str, int] = {"samples": 0, "damaged_packets": 0, "bytes": 0, "foreign_packets": 0}
-        self.has_reported: bool = False
-        self.complaint: str = ""
-        self.set_up_lost: str = ""
+    def __init__(self, device: str, settings: MicroStrainNode, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "damaged_packets", "bytes", "foreign_packets")
+        self._has_reported = False
+        self._complaint = ""
+        self._set_up_lost = ""  # the command that sets the beacon resets it
         self.base_rssi_dBm: int | None = None
         self.node_rssi_dBm: int | None = None
-        self._device, self._settings, self._quantities = device, settings, quantities
+        self._settings, self._quantities = settings, quantity_channel(settings)
         self._search = PacketSearch(settings.aspp)
         self._period_ns = 1e9 / settings.rate_Hz
         clock = (_CLOCK_NS, self._period_ns, round(_MAX_LATE_S * settings.rate_Hz))
@@ -97,9 +92,10 @@ class MicroStrainPipeline:
         self._status_reported = self._is_off = False
 
     @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
-        return self._clock.seed(_WRAP_NS)
+    def status(self) -> PipelineStatus:
+        """See Pipeline. Every packet has the node's channels and rate."""
+        seed = self._clock.seed(_WRAP_NS)
+        return PipelineStatus(self._has_reported, self._complaint, self._set_up_lost, seed)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -108,15 +104,12 @@ class MicroStrainPipeline:
         found = self._search.feed(data)
         out: Items = []
         if found.skipped_bytes:
-            self.losses["bytes"] += found.skipped_bytes
-            foreign = number_of(found.skipped_bytes, "byte skipped that belongs", "bytes skipped that belong")
-            text = f"{foreign} to no intact packet"
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            out.append(self.skipped_bytes(found.skipped_bytes, "intact packet"))
         for packet in found.packets:
             out += self._packet(packet, host_ns)
         out += self._placed(self._order.at(host_ns) if data else self._order.end())
         if self._switched_on_ns is not None and host_ns - self._switched_on_ns > _START_NS:
-            self.set_up_lost = "the node was switched on and does not sample"
+            self._set_up_lost = "the node was switched on and does not sample"
         return out + self._run_ended()
 
     def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
@@ -131,7 +124,7 @@ class MicroStrainPipeline:
     def _node_packet(self, packet: wire.Packet, host_ns: int) -> Items:
         if wire.is_discovery(packet):
             self._switched_on_ns = host_ns
-            kind = "restart" if self.has_reported else "status"  # before its first sample nothing of it is lost
+            kind = "restart" if self._has_reported else "status"  # before its first sample nothing of it is lost
             return [DeviceEvent(kind, self._device, "the node reports that it was switched on")]
         if packet.kind in wire.REPLIES:
             return self._answered(packet, host_ns)
@@ -148,18 +141,18 @@ class MicroStrainPipeline:
 
         A node may send them in addition.
         """
-        if self.has_reported or kind not in wire.OTHER_SAMPLES:
+        if self._has_reported or kind not in wire.OTHER_SAMPLES:
             return []
         self._others += 1
         if self._others < _CONTRADICTIONS:
             return []
         name = wire.OTHER_SAMPLES[kind]
-        self.has_reported = True
-        self.complaint = (
+        self._has_reported = True
+        self._complaint = (
             f"the node sends packets of type {kind:02X}h ({name}), not of synchronized sampling. "
             "Set up its sampling mode and its channels"
         )
-        return [DeviceEvent("fault", self._device, self.complaint)]
+        return [DeviceEvent("fault", self._device, self._complaint)]
 
     def _foreign_packet(self, address: int) -> Items:
         self.losses["foreign_packets"] += 1
@@ -179,14 +172,14 @@ class MicroStrainPipeline:
             # The host switches the beacon off and on when it opens the device, also again during a recording: this is
             # no fault, and the next state of the beacon is a reply that the dialogue waits for.
             self._status_reported = False
-            self.set_up_lost, self._switched_on_ns = "", None
+            self._set_up_lost, self._switched_on_ns = "", None
             self._is_beacon_new = self._index > 0
         is_status = beacon is not None
         if beacon is not None:
             if beacon.is_on:
                 self._lag, self._is_timed_by_arrival = (host_ns - beacon.time_ns, host_ns), False
                 if self._is_off and self._switched_on_ns is None:
-                    self.set_up_lost = ""
+                    self._set_up_lost = ""
             elif not self._is_off and self._status_reported:
                 out.append(self._beacon_is_off())
             self._is_off = not beacon.is_on
@@ -202,9 +195,9 @@ class MicroStrainPipeline:
         return [*out, DeviceEvent("reply", self._device, text)]
 
     def _beacon_is_off(self) -> DeviceEvent:
-        self.set_up_lost = "the base station's beacon is off"
+        self._set_up_lost = "the base station's beacon is off"
         text = (
-            f"{self.set_up_lost}: it has started again, or another program uses it. Look at its power. Until the "
+            f"{self._set_up_lost}: it has started again, or another program uses it. Look at its power. Until the "
             "beacon is set, the node has times of its own clock, and it stops sampling after its own timeout"
         )
         return DeviceEvent("restart", self._device, text)
@@ -226,7 +219,7 @@ class MicroStrainPipeline:
         wrong = self._contradiction(sweeps)
         if wrong is not None:
             return wrong
-        self.has_reported, self._switched_on_ns = True, None
+        self._has_reported, self._switched_on_ns = True, None
         self.base_rssi_dBm, self.node_rssi_dBm = packet.base_rssi_dBm, packet.node_rssi_dBm
         columns = [sweeps.channels.index(number) for number in self._settings.used_channels]
         rows = np.empty(len(sweeps.values), [("ns", np.int64), ("values", np.float64, len(columns))])
@@ -257,10 +250,12 @@ class MicroStrainPipeline:
         off_ns = passed_ns - (stretch.lost + 1) * self._period_ns
         is_ahead = passed_ns > stretch.host_ns - heard_ns + _MAX_HOST_LATE_NS
         if passed_ns <= 0 or is_ahead or (not stretch.is_restart and abs(off_ns) > self._period_ns / 2):
-            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm), None
+            self._clock.restart()
+            self._lag = None
             return "the beacon's time was set: the clock restarts"
         if stretch.is_restart and self._is_beacon_new:
-            self._clock, self._is_beacon_new = ClockMap(self._settings.clock_tolerance_ppm), False
+            self._clock.restart()
+            self._is_beacon_new = False
         return "the node started to sample again: its ticks restart" if stretch.is_restart else ""
 
     def _run_ended(self) -> Items:
@@ -279,10 +274,9 @@ class MicroStrainPipeline:
         if self._lag is not None and self._lag[1] is not None and host_ns - self._lag[1] > _LAG_VALID_NS:
             out += self._timed_by_arrival(f"the base station answers no query for {_LAG_VALID_NS / 1e9:.0f} s")
         if missing:
-            self.losses["samples"] += missing
             signal = {} if self.base_rssi_dBm is None else {"rssi_dBm": self.base_rssi_dBm}
             span_s = missing / self._settings.rate_Hz
-            out.append(lost_samples(self._device, missing, span_s, time_ns=int(time_ns[0]), **signal))
+            out.append(self.lost_samples(missing, span_s, time_ns=int(time_ns[0]), **signal))
         out.append(Batch(channels.PENDULUMS, time_ns, sequence, self._angle_columns(used, sequence, device_ns)))
         if self._quantities is not None:
             columns = {name: used[:, 2 + k].copy() for k, name in enumerate(self._settings.quantities)}
@@ -329,7 +323,7 @@ class MicroStrainPipeline:
         missing = [number for number in settings.used_channels if number not in sweeps.channels]
         rate = RATES_HZ.get(sweeps.rate_code)
         if not missing and rate == settings.rate_Hz:
-            self._contradictions, self.complaint = 0, ""
+            self._contradictions, self._complaint = 0, ""
             return None
         self._contradictions += 1
         words = (
@@ -341,10 +335,10 @@ class MicroStrainPipeline:
         if self._contradictions < _CONTRADICTIONS:
             return [self._damaged(words)]
         self.losses["damaged_packets"] += 1
-        if self.complaint:
+        if self._complaint:
             return []
-        self.has_reported, self.complaint = True, f"{words}. Correct the rig file or set up the node"
-        return [DeviceEvent("fault", self._device, self.complaint)]
+        self._has_reported, self._complaint = True, f"{words}. Correct the rig file or set up the node"
+        return [DeviceEvent("fault", self._device, self._complaint)]
 
     def _damaged(self, reason: str) -> DeviceEvent:
         self.losses["damaged_packets"] += 1

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from daq.drivers.played import PlayedDevice
 from rig_drivers.modbus_converter.far_end import RegisterServer, initial_words
 from rig_drivers.modbus_converter.settings import ModbusConverter
@@ -14,9 +17,10 @@ class PlayedConverter(PlayedDevice):
 
     Args:
         settings: table of the converter in the rig file.
+        identity: of the converter; it is not needed.
     """
 
-    def __init__(self, settings: ModbusConverter) -> None:
+    def __init__(self, settings: ModbusConverter, identity: Mapping[str, Any]) -> None:
         super().__init__()
         self._settings = settings
         self._began = False

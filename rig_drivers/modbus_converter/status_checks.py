@@ -8,13 +8,17 @@ from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl
 from daq.items import DeviceEvent
 from rig_drivers.modbus_converter import states
+from rig_drivers.modbus_converter.settings import ModbusConverter
 from rig_drivers.modbus_converter.stream import ConverterPipeline
 
 
-def converter_checks(pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+def converter_checks(
+    settings: ModbusConverter, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+) -> Checks:
     """Return the checks of an open converter.
 
     Args:
+        settings: table of the converter in the rig file.
         pipeline: pipeline of the converter.
         control: command of the converter; None if its bytes are only received.
         events: events of the converter during the check.

@@ -6,11 +6,14 @@ late answer fits the next request (`line.RequestLine`). A converter has no clock
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from daq import channels
+from daq.drivers.contract import Pipeline
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 from rig_drivers.modbus_converter import states, wire
@@ -40,7 +43,7 @@ class Report:
     rpm: float
 
 
-class ConverterPipeline:
+class ConverterPipeline(Pipeline):
     """Decoder of one converter's line.
 
     Attributes:
@@ -51,12 +54,11 @@ class ConverterPipeline:
         echoes: whether the adapter returns the host's own bytes.
     """
 
-    def __init__(self, device: str, settings: ModbusConverter) -> None:
-        kinds = ("unanswered", "damaged_answers", "damaged_bytes", "late", "refused")
-        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+    def __init__(self, device: str, settings: ModbusConverter, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "unanswered", "damaged_answers", "damaged_bytes", "late", "refused")
         self.answers: list[wire.Answer] = []
         self.reports: list[Report] = []
-        self._device, self._settings, self._registers = device, settings, settings.registers
+        self._settings, self._registers = settings, settings.registers
         self._blocks = settings.blocks
         self.echoes: bool = False
         self._request: wire.Request | None = None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from daq import channels
 from daq.drivers.can_lines import CanLines, OtherHost
+from daq.drivers.contract import Pipeline
 from daq.drivers.following import Following
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, opens_bus
@@ -36,7 +38,7 @@ def state(beat: wire.Heartbeat, firmware: str) -> str:
     return wire.STATES.get(beat.state, f"STATE {beat.state}")
 
 
-class OdrivePipeline:
+class OdrivePipeline(Pipeline):
     """Decoder of frames to speed, state and errors. Samples get the host's time: a controller has no clock.
 
     The set-point is in the frames that the host sends, or, in a session that only receives, among the received frames.
@@ -49,15 +51,15 @@ class OdrivePipeline:
         restarted: whether the last `feed` showed a restart of the controller.
     """
 
-    def __init__(self, device: str, settings: Odrive) -> None:
-        self.losses: dict[str, int] = {}
+    def __init__(self, device: str, settings: Odrive, identity: Mapping[str, Any]) -> None:
+        super().__init__(device)
         self._lines = CanLines(device, self.losses)
         self.losses["unreadable_frames"] = 0
         self.beats: list[wire.Heartbeat] = []
         self.speeds_rpm: list[float] = []
         self.errors: dict[str, int] = {}
         self.restarted: bool = False
-        self._device, self._settings = device, settings
+        self._settings = settings
         self._following = Following(device, round(settings.follow_s * 1e3 / settings.estimates_ms))
         self._other_host = OtherHost(device)
         self._shown: dict[str, int] = {}  # error codes that an event has shown

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.drivers.simulated import FaultKind
 from daq.virtual_rig.beam import Beam
-from daq.virtual_rig.world import World
+from daq.virtual_rig.free_sensor import FreeSensor
 from rig_drivers.optoncdt_ethernet import distances, wire
 from rig_drivers.optoncdt_ethernet.settings import EthernetLaser
 
 _ORDER = 4120175
 
 
-class SimulatedEthernetLaser(FarEnd):
-    """One sensor.
+class SimulatedEthernetLaser(FreeSensor):
+    """One sensor; see FreeSensor."""
 
-    Args:
-        settings: table of the sensor in the rig file.
-        beam: its beam.
-        serial: serial number, if the rig file states none.
-    """
-
+    first_serial: ClassVar[int] = 230_000
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
         "blocked": FaultKind("the beam is blocked: every distance is the code for no peak"),
         "dropped": FaultKind("frames are dropped before they are sent", 100, None, "how many", (0, 1e6)),
@@ -33,26 +28,15 @@ class SimulatedEthernetLaser(FarEnd):
     }
 
     def __init__(self, settings: EthernetLaser, beam: Beam, serial: int) -> None:
-        self._settings, self._beam = settings, beam
-        self._serial = settings.serial_number or serial
+        super().__init__(settings, beam, serial)
+        self._settings = settings
         self._codes = distances.codes_of(settings.scaling)
         self._counter = int(beam.rng.integers(0, wire.COUNTER_WRAP))  # of the next frame, or packet
         self._flags = wire.flags_of(settings.words)
-        self._blocked = False
-        self._drop = 0
 
-    @classmethod
-    def of(cls, device: str, settings: EthernetLaser, world: World) -> SimulatedEthernetLaser:
-        """Make the sensor of a simulated rig."""
-        return cls(settings, Beam.of(device, settings, world), 230_000 + world.number(device, settings.topic))
-
-    def sample(self, motion: MotionInterval) -> bytes:
+    def packets(self, reading: NDArray[np.floating], numbers: NDArray[np.int64]) -> bytes:
         """Return the packet with the samples in an interval of motion."""
-        period_s = 1.0 / self._settings.rate_Hz
-        numbers = self._beam.due(motion, period_s)
-        if not len(numbers):
-            return b""
-        words = self._words(self._beam.reading(motion, numbers * period_s), numbers)
+        words = self._words(reading, numbers)
         of_frames = self._settings.counts == "frames"
         dropped = min(self._drop, len(words))
         self._drop -= dropped
@@ -76,21 +60,6 @@ class SimulatedEthernetLaser(FarEnd):
         words[:, self._settings.words.index("DIST")] = code
         return words
 
-    def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
-        match what:
-            case "blocked":
-                self._blocked = bool(value)
-            case "dropped":
-                self._drop = int(value)
-            case "other":
-                self._serial = int(value)
-            case _:
-                super().fail(what, value)
-
-    def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd. After power-up the sensor counts from 0."""
-        super().power(on, now_s)
-        if on:
-            self._counter = 0
-            self._beam.power_up(now_s)
+    def begin(self) -> None:
+        """See FreeSensor."""
+        self._counter = 0

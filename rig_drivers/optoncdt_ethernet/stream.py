@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
-from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
-from rig_basics.texts import number_of
 from rig_drivers.optoncdt_ethernet import distances, wire
 from rig_drivers.optoncdt_ethernet.frame_numbers import FrameNumbers
 from rig_drivers.optoncdt_ethernet.settings import EthernetLaser
@@ -32,23 +32,21 @@ _SETTLES_NS = 1_000_000_000  # after its begin, the due line has the sensor's ra
 Items = list[Batch | DeviceEvent]
 
 
-class EthernetPipeline:
+class EthernetPipeline(Pipeline):
     """Decoder of one sensor's packets. Displacement is 0 in the middle of the range and grows with the distance.
 
     Attributes:
         losses: see Pipeline. "samples": missing by the counter; "bytes": skipped; "invalid": error codes.
-        has_reported, complaint: see DescribesItself; the packets have the sensor's serial number, the size of a frame,
-            and flags that depend on the selected values.
+        doubt: what the flags of the packets contradict, a clause; empty without a contradiction.
     """
 
-    def __init__(
-        self, device: str, settings: EthernetLaser, channel: channels.Channel, identity: Mapping[str, Any]
-    ) -> None:
-        self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0}
-        self.has_reported: bool = False
-        self.complaint: str = ""
+    def __init__(self, device: str, settings: EthernetLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "bytes", "invalid")
+        self._has_reported = False
+        self._complaint = ""
         self.doubt: str = ""
-        self._device, self._channel, self._settings = device, channel, settings
+        self._settings = settings
+        self._channel = channels.displacement_channel(settings.topic)
         self._place = settings.words.index("DIST")
         self._period_ns = 1e9 / settings.rate_Hz
         self._decoder = wire.PacketDecoder(len(settings.words))
@@ -70,21 +68,20 @@ class EthernetPipeline:
         self._watch = distances.ScalingWatch(settings.scaling, settings.range_m)
 
     @property
-    def learned(self) -> dict[str, int]:
-        """See ObservesIdentity."""
-        return {} if self._serial is None else {"order": self._serial[0], "serial": self._serial[1]}
+    def status(self) -> PipelineStatus:
+        """See Pipeline.
 
-    @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
-
-    @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
-        if self._settings.counts == "packets" or self._counter.of_end:
-            return None  # the counter of the next log's first packet does not give the number of its first sample
-        return self._clock.seed(round(wire.COUNTER_WRAP * self._period_ns))
+        The packets have the sensor's serial number, the size of a frame, and flags that depend on the selected values.
+        """
+        # The counter of the next log's first packet may not give the number of its first sample.
+        is_counted = self._settings.counts == "frames" and not self._counter.of_end
+        return PipelineStatus(
+            self._has_reported,
+            self._complaint,
+            clock_seed=self._clock.seed(round(wire.COUNTER_WRAP * self._period_ns)) if is_counted else None,
+            clock_std_ns=self._clock.std_ns,
+            learned={} if self._serial is None else {"order": self._serial[0], "serial": self._serial[1]},
+        )
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -132,13 +129,8 @@ class EthernetPipeline:
         """Report bytes that belong to no packet, and once a sensor whose frames have another size than `words`."""
         out: Items = []
         if found.skipped_bytes and self._joined:
-            self.losses["bytes"] += found.skipped_bytes
-            foreign = number_of(
-                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
-            )
-            text = f"{foreign} to a packet"
-            if not self._misfits:
-                out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            event = self.skipped_bytes(found.skipped_bytes, "packet")
+            out += [] if self._misfits else [event]
         if found.packets:
             self._frame_size.clear()
         elif not self._misfits and (size := self._frame_size.feed(found.misfits)) is not None:
@@ -152,7 +144,7 @@ class EthernetPipeline:
         return out
 
     def _complain(self, text: str, facts: dict[str, Any]) -> Items:
-        self.has_reported, self.complaint, self._skips = True, text, True
+        self._has_reported, self._complaint, self._skips = True, text, True
         self._begun_ns, self._was_right = None, False
         return [DeviceEvent("fault", self._device, text, facts)]
 
@@ -166,10 +158,10 @@ class EthernetPipeline:
         if own == self._serial and not self._misfits and packet.flags == self._flags[-1]:
             return []
         self._misfits = False
-        self._serial, self.has_reported = own, True
+        self._serial, self._has_reported = own, True
         self._flags = [*self._flags[:1], packet.flags]
         self._wanted = self._wanted or packet.serial
-        self.complaint, self._skips = "", False
+        self._complaint, self._skips = "", False
         if packet.serial != self._wanted:
             self._flags = [packet.flags]
             return self._complain(
@@ -201,19 +193,19 @@ class EthernetPipeline:
         """Take no samples whose scaling is wrong, by a factor of some hundred, or whose counter counts otherwise."""
         if found := self._watch.contradiction(words):
             return self._complain(found, {"scaling": self._settings.scaling})
-        if (found := self._counter.contradiction) and not self.complaint:
+        if (found := self._counter.contradiction) and not self._complaint:
             return self._complain(found, {"counts": self._settings.counts})
         return []
 
     def _restarted(self, text: str) -> Items:
-        self._clock, self._begun_ns = ClockMap(self._settings.clock_tolerance_ppm), None
+        self._clock.restart()
+        self._begun_ns = None
         return [DeviceEvent("restart", self._device, text)]
 
     def _lost(self, lost: int, uncertain: int, why: str = "lost") -> DeviceEvent:
         """Count samples that are missing before the next one."""
-        self.losses["samples"] += lost
         facts = {"uncertain_samples": uncertain} if uncertain else {}
-        event = lost_samples(self._device, lost, lost * self._period_ns * 1e-9, **facts)
+        event = self.lost_samples(lost, lost * self._period_ns * 1e-9, **facts)
         return replace(event, text=("about " if uncertain else "") + event.text.replace("lost", why))
 
     def _rated(self, host_ns: int) -> Items:
@@ -234,10 +226,10 @@ class EthernetPipeline:
                 f"its measuring rate was changed some seconds ago: about {rate_Hz:.0f} Hz, expected "
                 f"{self._settings.rate_Hz:g} Hz. Set the rate as before, or correct rate_Hz and begin again"
             )
-            self.has_reported, self.complaint = True, text
+            self._has_reported, self._complaint = True, text
             facts = {"rate_Hz": rate_Hz, "nominal_Hz": self._settings.rate_Hz}
             return [DeviceEvent("fault", self._device, text, facts)]
-        self.complaint = ""
+        self._complaint = ""
         refused, self._refused = self._refused, 0
         gap = self._lost(refused, 0, "not taken, since their rate was another one")
         return [gap, *self._restarted("it measures at the rate of the rig file again")]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from daq.drivers.played import PlayedDevice
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
@@ -12,29 +15,20 @@ class PlayedPolledLaser(PlayedDevice):
 
     Args:
         settings: table of the sensor in the rig file.
+        identity: of the sensor; it is not needed.
     """
 
     expects = "a request"
 
-    def __init__(self, settings: PolledLaser) -> None:
-        super().__init__()
+    def __init__(self, settings: PolledLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(sends=False)
         self._settings, self._dialect = settings, wire.DIALECTS[settings.dialect]
-        self._open = False
-
-    @property
-    def sending(self) -> bool:
-        """See PlayedDevice."""
-        return self._open
-
-    def begin(self) -> None:
-        """See PlayedDevice."""
-        self._open = True
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
-        if self._open:  # the values follow from the log
+        if self._sends:  # the values follow from the log
             is_probe = data == self._dialect.probe(self._settings.output)
             return self._dialect.probe_answer(self._settings.output) if is_probe else b""
         self.commands += 1
-        self._open = True
+        self._sends = True
         return self._dialect.answer(data, self._settings.output, wire.Reading(0.0)) or b""

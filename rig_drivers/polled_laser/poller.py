@@ -15,6 +15,8 @@ from collections.abc import Callable
 from daq.drivers.polling import Request, RequestLoop
 from daq.transports.host_clock import HostClock
 from rig_drivers.polled_laser import wire
+from rig_drivers.polled_laser.settings import PolledLaser
+from rig_drivers.polled_laser.stream import LATEST_S
 
 _TRIES = 2
 """Probes after which a sensor that has answered none is polled without them."""
@@ -82,18 +84,14 @@ class SensorPoller(RequestLoop):
     """See Poller.
 
     Args:
-        turns: the requests.
-        period_s: time from one request to the next, s.
-        answer_s: time after which a request is given up, s.
+        settings: table of the sensor in the rig file.
         send: writes bytes to the sensor's link, and to the log.
         clock: clock for the periods and the time-out.
     """
 
-    def __init__(
-        self, turns: Turns, period_s: float, answer_s: float, send: Callable[[bytes], None], clock: HostClock
-    ) -> None:
-        self._turns = turns
-        super().__init__(Request(turns.request, b"", period_s, answer_s), send, clock)
+    def __init__(self, settings: PolledLaser, send: Callable[[bytes], None], clock: HostClock) -> None:
+        self._turns = Turns(wire.DIALECTS[settings.dialect], settings.output)
+        super().__init__(Request(self._turns.request, b"", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
 
     def start(self) -> None:
         """See Poller."""

@@ -8,12 +8,14 @@ a probe (see `rig_drivers.polled_laser.poller`) and its answer.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from daq.drivers.contract import Pipeline
 from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
@@ -35,7 +37,7 @@ _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 Items = list[Batch | DeviceEvent]
 
 
-class PolledPipeline:
+class PolledPipeline(Pipeline):
     """Decoder of one sensor's line. Displacement is 0 at the sensor's zero and grows with the distance from the sensor.
 
     Attributes:
@@ -44,10 +46,10 @@ class PolledPipeline:
             answers without a reading.
     """
 
-    def __init__(self, device: str, settings: PolledLaser, channel: channels.Channel) -> None:
-        kinds = ("samples", "damaged_lines", "unasked", "refused", "invalid")
-        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
-        self._device, self._channel, self._output = device, channel, settings.output
+    def __init__(self, device: str, settings: PolledLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "damaged_lines", "unasked", "refused", "invalid")
+        self._output = settings.output
+        self._channel = channels.displacement_channel(settings.topic)
         self._dialect = wire.DIALECTS[settings.dialect]
         self._sensor_m, self._lever, self._range_m = settings.metres_per_unit, settings.lever_ratio, settings.range_m
         self._delay_ns = round(settings.delay_s * 1e9)

@@ -62,7 +62,7 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
     }
 
 
-def stop(talk: Talk) -> None:
+def stop(settings: RiftekLaser, talk: Talk) -> None:
     """Command every sensor on the line to stop streaming; sent twice because the command is not acknowledged."""
     talk.send(2 * wire.request(wire.EVERYONE, wire.STOP))
 

@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.drivers.displacement import range_of
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
-from daq.items import TX, Batch, DeviceEvent, lost_samples
-from rig_basics.texts import number_of
+from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.riftek import wire
 from rig_drivers.riftek.arrivals import Arrivals, ResultRate
 from rig_drivers.riftek.decoder import DecodedResults, ResultDecoder
@@ -103,7 +103,7 @@ class _Waiting:
         return _Rows(code, np.concatenate([part.updated for part in self.parts]), step, guessed)
 
 
-class RiftekPipeline:
+class RiftekPipeline(Pipeline):
     """Decoder of RF60x bytes to displacement of the disk centre; see the module for the counting of losses.
 
     Displacement is 0 in the middle of the measuring range and increases with the distance from the sensor.
@@ -112,11 +112,9 @@ class RiftekPipeline:
         DeviceError: the range of the identity is invalid.
     """
 
-    def __init__(
-        self, device: str, settings: RiftekLaser, channel: channels.Channel, identity: Mapping[str, Any]
-    ) -> None:
-        self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0, "suspect": 0}
-        self._device, self._channel = device, channel
+    def __init__(self, device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "bytes", "invalid", "suspect")
+        self._channel = channels.displacement_channel(settings.topic)
         self._range_m = range_of(device, settings, identity)
         self._to_disk = 1.0 / settings.lever_ratio
         self._period_ns = 1000 * settings.period_us
@@ -134,18 +132,9 @@ class RiftekPipeline:
         self._rate = ResultRate(self._period_ns)
 
     @property
-    def set_up_lost(self) -> str:
-        """See NoticesLostSetUp."""
-        return self._rate.sign
-
-    @set_up_lost.setter
-    def set_up_lost(self, sign: str) -> None:
-        self._rate.sign = sign
-
-    @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
+    def status(self) -> PipelineStatus:
+        """See Pipeline."""
+        return PipelineStatus(set_up_lost=self._rate.sign, clock_std_ns=self._clock.std_ns)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -158,12 +147,7 @@ class RiftekPipeline:
         found = self._decoder.feed(data)
         out: Items = [DeviceEvent("reply", self._device, answer.hex()) for answer in found.answers]
         if found.skipped_bytes:
-            self.losses["bytes"] += found.skipped_bytes
-            foreign = number_of(
-                found.skipped_bytes, "byte skipped that does not belong", "bytes skipped that do not belong"
-            )
-            text = f"{foreign} to a packet"
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            out.append(self.skipped_bytes(found.skipped_bytes, "packet"))
         self._verdicts += [self._decoded + place for place in found.doubted]
         self._decoded += len(found.code)
         self._rate.received(len(found.code), host_ns, damaged=found.skipped_bytes > 0)
@@ -308,9 +292,8 @@ class RiftekPipeline:
         numbers = number + np.cumsum(step)
         for i in np.flatnonzero(step != 1):
             lost = int(step[i]) - 1
-            self.losses["samples"] += lost
             facts = {"time_ns": int(time_ns[i]), "device_ticks": int(numbers[i]) * self._period_ns // TICK_NS}
-            event = lost_samples(self._device, lost, lost * self._period_ns * 1e-9, **facts)
+            event = self.lost_samples(lost, lost * self._period_ns * 1e-9, **facts)
             text, facts = event.text, dict(event.facts)
             if rows.guessed[i] or (found_late and i == 0):
                 facts["uncertain_samples"] = self._arrivals.uncertainty

@@ -9,23 +9,18 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.drivers.simulated import FaultKind
 from daq.virtual_rig.beam import Beam
-from daq.virtual_rig.world import World
+from daq.virtual_rig.free_sensor import FreeSensor
 from rig_drivers.riftek_ethernet.settings import RiftekEthernetLaser
 
 _RESULTS, _BASE_MM, _FULL = 168, 80, 16384
 
 
-class SimulatedRiftekEthernet(FarEnd):
-    """One sensor.
+class SimulatedRiftekEthernet(FreeSensor):
+    """One sensor; see FreeSensor."""
 
-    Args:
-        settings: table of the sensor in the rig file.
-        beam: its beam.
-        serial: serial number, if the rig file states none.
-    """
-
+    first_serial: ClassVar[int] = 19_000
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
         "blocked": FaultKind("the beam is blocked: every result is 0"),
         "dropped": FaultKind("packets are lost on the network", 10, None, "how many", (0, 1e4)),
@@ -34,24 +29,15 @@ class SimulatedRiftekEthernet(FarEnd):
     }
 
     def __init__(self, settings: RiftekEthernetLaser, beam: Beam, serial: int) -> None:
-        self._settings, self._beam = settings, beam
-        self._serial = settings.serial_number or serial
+        super().__init__(settings, beam, serial)
+        self._settings = settings
         self._number = int(beam.rng.integers(0, 256))
         self._pending: list[int] = []
-        self._blocked = self._repeats = False
-        self._drop = 0
+        self._repeats = False
 
-    @classmethod
-    def of(cls, device: str, settings: RiftekEthernetLaser, world: World) -> SimulatedRiftekEthernet:
-        """Make the sensor of a simulated rig."""
-        return cls(settings, Beam.of(device, settings, world), 19_000 + world.number(device, settings.topic))
-
-    def sample(self, motion: MotionInterval) -> bytes:
+    def packets(self, reading: NDArray[np.floating], numbers: NDArray[np.int64]) -> bytes:
         """Return the packets that are full at the end of an interval of motion."""
-        period_s = 1.0 / self._settings.rate_Hz
-        numbers = self._beam.due(motion, period_s)
-        if len(numbers):
-            self._pending += self._codes(self._beam.reading(motion, numbers * period_s)).tolist()
+        self._pending += self._codes(reading).tolist()
         out = b""
         while len(self._pending) >= _RESULTS:
             codes, self._pending = self._pending[:_RESULTS], self._pending[_RESULTS:]
@@ -76,21 +62,11 @@ class SimulatedRiftekEthernet(FarEnd):
 
     def fail(self, what: str, value: Any = 1) -> None:
         """See FarEnd and `fault_kinds`."""
-        match what:
-            case "blocked":
-                self._blocked = bool(value)
-            case "dropped":
-                self._drop = int(value)
-            case "repeats":
-                self._repeats = bool(value)
-            case "other":
-                self._serial = int(value)
-            case _:
-                super().fail(what, value)
+        if what == "repeats":
+            self._repeats = bool(value)
+        else:
+            super().fail(what, value)
 
-    def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd. After power-up the sensor counts its packets from 0."""
-        super().power(on, now_s)
-        if on:
-            self._number, self._pending = 0, []
-            self._beam.power_up(now_s)
+    def begin(self) -> None:
+        """See FreeSensor."""
+        self._number, self._pending = 0, []

@@ -7,6 +7,7 @@ Datagrams can be lost, come twice, or come late, and the sensor may start again:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
-from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
-from rig_basics.texts import number_of
 from rig_drivers.riftek.wire import readings
 from rig_drivers.riftek_ethernet import wire
 from rig_drivers.riftek_ethernet.identity import words_for
@@ -31,21 +32,18 @@ _OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets 
 Items = list[Batch | DeviceEvent]
 
 
-class RiftekEthernetPipeline:
+class RiftekEthernetPipeline(Pipeline):
     """Decoder of one sensor's packets. Displacement is 0 in the middle of the range and grows with the distance.
 
     Attributes:
         losses: see Pipeline. "samples": missing by the packets' number; "bytes": skipped; "invalid": without a reading.
-        has_reported, complaint: see DescribesItself; every packet has the sensor's serial number.
     """
 
-    def __init__(
-        self, device: str, settings: RiftekEthernetLaser, channel: channels.Channel, identity: Mapping[str, Any]
-    ) -> None:
-        self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0}
-        self.has_reported: bool = False
-        self.complaint: str = ""
-        self._device, self._settings, self._channel = device, settings, channel
+    def __init__(self, device: str, settings: RiftekEthernetLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "bytes", "invalid")
+        self._complaint = ""
+        self._settings = settings
+        self._channel = channels.displacement_channel(settings.topic)
         known = identity.get("serial")
         self._wanted = settings.serial_number or (known if type(known) is int else 0)  # 0: the first one
         self._decoder = wire.PacketDecoder(settings.range_mm, settings.checksum, serial=self._wanted)
@@ -58,19 +56,17 @@ class RiftekEthernetPipeline:
         self._next = 0  # number of the next sample
 
     @property
-    def learned(self) -> dict[str, int]:
-        """See ObservesIdentity."""
-        return {} if self._serial is None else {"serial": self._serial}
-
-    @property
     def repeated_packets(self) -> int:
         """Number of packets that came twice or too late."""
         return self._order.repeated
 
     @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
+    def status(self) -> PipelineStatus:
+        """See Pipeline. Every packet has the sensor's serial number."""
+        learned = {} if self._serial is None else {"serial": self._serial}
+        return PipelineStatus(
+            self._serial is not None, self._complaint, learned=learned, clock_std_ns=self._clock.std_ns
+        )
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -90,7 +86,7 @@ class RiftekEthernetPipeline:
                 out.append(self._damage(wire.PACKET_BYTES, f"a packet of sensor {packet.serial}"))
                 continue
             out += self._identified(packet.serial)
-            if not self.complaint:
+            if not self._complaint:
                 self._heard_ns = host_ns
                 for stretch in self._order.feed(np.array([packet.number]), [packet], host_ns):
                     out += self._placed(stretch)
@@ -104,43 +100,39 @@ class RiftekEthernetPipeline:
 
     def _damage(self, count: int, received: str) -> DeviceEvent:
         """Count skipped bytes, and complain of what was received as long as no packet was decoded."""
-        self.losses["bytes"] += count
         range_mm = self._settings.range_mm
         if received and self._serial is None:
-            self.complaint = (
+            self._complaint = (
                 f"expected packets of a sensor with a range of {range_mm} mm, got {received}. "
                 "Look at the rig file, the sensor's settings and its address"
             )
-        foreign = number_of(count, "byte skipped that belongs", "bytes skipped that belong")
-        text = f"{foreign} to no packet of a sensor with a range of {range_mm} mm"
-        if received:
-            text += f"; received: {received}"
-        return DeviceEvent("damage", self._device, text, {"bytes": count})
+        event = self.skipped_bytes(count, f"packet of a sensor with a range of {range_mm} mm")
+        return replace(event, text=f"{event.text}; received: {received}") if received else event
 
     def _placed(self, stretch: Stretch[list[wire.Packet]]) -> Items:
         out: Items = []
         if stretch.is_restart:
-            self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm), 0
+            self._clock.restart()
+            self._next = 0
             out.append(DeviceEvent("restart", self._device, "its packets' number does not continue: it started again"))
         elif stretch.lost:
             lost = stretch.lost * wire.RESULTS
-            self.losses["samples"] += lost
             self._next += lost
-            out.append(lost_samples(self._device, lost, lost * self._period_ns * 1e-9))
+            out.append(self.lost_samples(lost, lost * self._period_ns * 1e-9))
         return [*out, *(self._samples(packet, stretch.host_ns) for packet in stretch.rows)]
 
     def _identified(self, serial: int) -> Items:
         """Compare the sensor's serial number with the expected one; no samples are taken of another sensor."""
         if serial == self._serial:
             return []
-        self._serial, self.has_reported, self._wanted = serial, True, self._wanted or serial
+        self._serial, self._wanted = serial, self._wanted or serial
         expected = f"serial number {self._wanted}, that of the rig file or of the sensor before"
-        self.complaint = (
+        self._complaint = (
             ""
             if serial == self._wanted
             else f"expected {expected}, got packets of sensor {serial}: look at its address"
         )
-        return [DeviceEvent("fault", self._device, self.complaint, {"serial": serial})] if self.complaint else []
+        return [DeviceEvent("fault", self._device, self._complaint, {"serial": serial})] if self._complaint else []
 
     def _samples(self, packet: wire.Packet, host_ns: int) -> Batch:
         number = self._next + np.arange(wire.RESULTS)

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Pipeline, SpeedControl, Talk
+from daq.drivers.contract import SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
-from daq.drivers.identification import Announcement
 from daq.drivers.plain import motor_channels
-from daq.drivers.played import PlayedDevice
 from daq.items import DeviceEvent
 from rig_drivers.vesc.settings import Vesc, VescMotor
 
@@ -34,31 +32,13 @@ def checks(settings: VescMotor, pipeline: Any, control: SpeedControl | None, eve
     return controller_checks(control, events, fault_words, _FAULTY)
 
 
-def _pipeline(device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
-    from rig_drivers.vesc.stream import SerialLine, VescPipeline
-
-    return VescPipeline(device, settings, SerialLine)
-
-
-def _played(settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
-    from rig_drivers.vesc.played import PlayedVesc
-
-    return PlayedVesc(identity)
-
-
 def _open(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
     """Query the controller. It reports only on request, by its command (`control`)."""
     from rig_drivers.vesc import wire
     from rig_drivers.vesc.dialogue import identify
 
     advice = f"Is the controller powered, its serial port enabled at {settings.baud} baud, are both wires right?"
-    return {"driver": "vesc", **identify(device, settings, talk, wire.firmware_version(), advice)}
-
-
-def _announcement() -> Announcement:
-    from rig_drivers.vesc.identity import ANNOUNCEMENT
-
-    return ANNOUNCEMENT
+    return identify(device, settings, talk, wire.firmware_version(), advice)
 
 
 _part = parts_of("rig_drivers.vesc")
@@ -68,13 +48,13 @@ DRIVER = Driver(
     example=EXAMPLE,
     claims=frozenset({"checksum", "falls silent"}),
     channels=motor_channels,
-    pipeline=_pipeline,
+    pipeline=_part("stream:VescPipeline"),
     words=words,
     checks=checks,
     far_end=_part("far_end:SimulatedVesc.of"),
-    played=_played,
+    played=_part("played:PlayedVesc"),
     open=_open,
     speed_source=_part("control:VescControl"),
     identity_request=_part("identity:identity_turns"),
-    announcement=_announcement,
+    announcement=_part("identity:announcement"),
 )

@@ -51,4 +51,6 @@ def announced(data: bytes, sender: str) -> NetworkDevice | None:
     return NetworkDevice(network_port(host, int(rest[1])), FoundDevice({}, {"name": name}))
 
 
-ANNOUNCEMENT = Announcement(ANNOUNCED_ON, announced)
+def announcement() -> Announcement:
+    """Return how a program of the maker announces the controller that it is connected to."""
+    return Announcement(ANNOUNCED_ON, announced)

@@ -7,16 +7,18 @@ from typing import Any
 
 from daq.drivers.played import PlayedDevice
 from rig_drivers.vesc import packets, wire
+from rig_drivers.vesc.settings import Vesc
 
 
 class PlayedVesc(PlayedDevice):
     """A VESC that reports its identity; its answers to polls, and thus the speed, are those of the log.
 
     Args:
+        settings: table of the controller in the rig file.
         identity: identity of the controller from its opening.
     """
 
-    def __init__(self, identity: Mapping[str, Any]) -> None:
+    def __init__(self, settings: Vesc, identity: Mapping[str, Any]) -> None:
         super().__init__()
         self._decoder = packets.PacketDecoder()
         self._firmware = firmware_of(identity)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
 from daq import channels
+from daq.drivers.contract import Pipeline
 from daq.drivers.following import Following, SlowingDown
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
@@ -88,7 +89,7 @@ class SerialLine:
         return self._tx.feed(data).payloads
 
 
-class VescPipeline:
+class VescPipeline(Pipeline):
     """Decoder of bytes to reports.
 
     A controller has no clock and does not number its answers. Samples get the host's time. A poll that was not answered
@@ -104,13 +105,14 @@ class VescPipeline:
         self,
         device: str,
         settings: VescMotor,
+        identity: Mapping[str, Any],
         line: Callable[[str, dict[str, int]], VescLine] = SerialLine,
     ) -> None:
-        self.losses: dict[str, int] = {}
+        super().__init__(device)
         self._line = line(device, self.losses)
         self.losses |= {"unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
-        self._device, self._pole_pairs = device, settings.pole_pairs
+        self._pole_pairs = settings.pole_pairs
         self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from daq.drivers.can_lines import CanLines, FirstContact, OtherHost
 from daq.items import DeviceEvent
 from daq.transports.can_frames import CanFrame
@@ -24,7 +27,7 @@ class CanLine:
         settings: table of the controller in the rig file.
 
     Attributes:
-        status: rate and absence of the status messages.
+        status_watch: rate and absence of the status messages.
     """
 
     def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
@@ -39,7 +42,7 @@ class CanLine:
         self._others_heard = set[int]()  # other controllers whose status was reported
         self._open_refused = False  # whether it was reported
         losses["damaged_answers"] = 0
-        self.status: StatusWatch = StatusWatch(device, losses, settings)
+        self.status_watch: StatusWatch = StatusWatch(device, losses, settings)
 
     def sent(self, data: bytes) -> list[bytes]:
         """See VescLine."""
@@ -84,7 +87,7 @@ class CanLine:
             payload, damaged = self._pieces.take(command, frame.data)
             if payload is not None:
                 payloads.append(payload)
-                return self.status.answer(host_ns)
+                return self.status_watch.answer(host_ns)
             return self._damage() if damaged else []
         return self._foreign(frame, number, host_ns) if number in (self._number, wire.EVERY) else []
 
@@ -100,7 +103,7 @@ class CanLine:
         if status is None:
             return self._damage()
         self.speeds_erpm.append(status.erpm)
-        return self.status.message(host_ns)
+        return self.status_watch.message(host_ns)
 
     def _other_status(self, number: int) -> list[DeviceEvent]:
         """Return a reply about another controller's status, once, while the query of the firmware is not answered."""
@@ -128,20 +131,15 @@ class VescCanPipeline(VescPipeline):
     """See VescPipeline.
 
     Attributes:
-        status: rate and absence of the status messages.
+        status_watch: rate and absence of the status messages.
     """
 
-    def __init__(self, device: str, settings: VescCan) -> None:
+    def __init__(self, device: str, settings: VescCan, identity: Mapping[str, Any]) -> None:
         lines: list[CanLine] = []
 
         def line(name: str, losses: dict[str, int]) -> CanLine:
             lines.append(CanLine(name, losses, settings))
             return lines[0]
 
-        super().__init__(device, settings, line)
-        self.status: StatusWatch = lines[0].status
-
-
-def can_pipeline(device: str, settings: VescCan) -> VescCanPipeline:
-    """Make the pipeline of a controller on the bus."""
-    return VescCanPipeline(device, settings)
+        super().__init__(device, settings, identity, line)
+        self.status_watch: StatusWatch = lines[0].status_watch

@@ -40,7 +40,7 @@ def identify(device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
             f"{settings.api_mode}. Correct devices.{device}.api_mode, or set AP and write it (WR)"
         )
     values = {command: _query(settings, talk, command) for command in _QUERIES[1:]}
-    identity: dict[str, Any] = {"driver": "xbee", "port": settings.port, "api_mode": settings.api_mode}
+    identity: dict[str, Any] = {"api_mode": settings.api_mode}
     identity |= wire.module_identity(values)
     if identity.get("serial") == settings.node_address:
         raise DeviceError(

@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-from daq.drivers.checks import Checks
-from daq.drivers.contract import SpeedControl
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import node_channels, node_clocks, node_marks
-from daq.items import DeviceEvent
 from rig_drivers.xbee.settings import XBeeNode
-
-
-def _checks(settings: XBeeNode, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
-    """Return the node's status."""
-    from daq.drivers.rotorlink.status_checks import node_checks
-
-    return node_checks(settings, pipeline)
-
 
 _part = parts_of("rig_drivers.xbee")
 DRIVER = Driver(
@@ -33,7 +19,7 @@ DRIVER = Driver(
     occasional=node_marks,
     clocks=node_clocks,
     pipeline=_part("stream:XBeePipeline"),
-    checks=_checks,
+    checks=parts_of("daq.drivers.rotorlink")("status_checks:node_checks"),
     far_end=_part("far_end:SimulatedXBeeNode.of"),
     played=_part("played:PlayedXBee"),
     open=_part("dialogue:identify"),

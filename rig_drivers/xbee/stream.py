@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+from daq.drivers.contract import PipelineStatus
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.items import TX, Batch, DeviceEvent
@@ -25,9 +27,6 @@ class XBeePipeline(NodePipeline):
     serial line counts as a lost radio frame, like one lost on air. Damage on the serial line is counted in addition
     (`damaged_frames`).
 
-    Attributes:
-        set_up_lost: see NoticesLostSetUp; the next API frame, for example the answer of the module, resets it.
-
     Args:
         device: name of the device in the rig file.
         config: table of the node in the rig file.
@@ -43,15 +42,17 @@ class XBeePipeline(NodePipeline):
         self._address = wire.Address.parse(config.node_address)
         self._line = framing.ApiDecoder(escaped=config.api_mode == 2)
         self._foreign: set[str] = set()
-        self.set_up_lost: str = ""
+        self._set_up_lost = ""  # the next API frame, for example the answer of the module, resets it
         self._unframed_bytes, self._unframed_ns = 0, 0  # since the newest API frame: their number, time of the first
         self._unheard = ""  # why no sample has been decoded yet
 
     @property
-    def complaint(self) -> str:
-        """See DescribesItself: a contradiction of the node's status, or why no sample has been decoded yet."""
-        decoded = self._next_index if self._records_angles else self.heard_frames
-        return super().complaint or (self._unheard if decoded is None else "")
+    def status(self) -> PipelineStatus:
+        """See Pipeline. The complaint may state why no sample has been decoded yet."""
+        found = super().status
+        decoded = self._next_index if self._records_angles else self._heard_frames
+        complaint = found.complaint or (self._unheard if decoded is None else "")
+        return replace(found, complaint=complaint, set_up_lost=self._set_up_lost)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -77,12 +78,12 @@ class XBeePipeline(NodePipeline):
     def _notice_mode(self, size: int, has_frame: bool, host_ns: int) -> None:
         """Take note of the size of a read, and of whether it ends an API frame."""
         if has_frame:
-            self._unframed_bytes, self.set_up_lost = 0, ""
+            self._unframed_bytes, self._set_up_lost = 0, ""
             return
         self._unframed_ns = self._unframed_ns if self._unframed_bytes else host_ns
         self._unframed_bytes += size
         if self._unframed_bytes > _NO_FRAME_BYTES and host_ns - self._unframed_ns > _NO_FRAME_NS:
-            self.set_up_lost = (
+            self._set_up_lost = (
                 f"its bytes have contained no API frame for {_NO_FRAME_NS / 1e9:g} s. The module may have restarted "
                 "with another AP or BD than the rig file's: values that were not written (WR) are lost"
             )
@@ -110,7 +111,7 @@ class XBeePipeline(NodePipeline):
         if not frame.comes_from(self._address):
             self.losses["foreign_frames"] += 1
             text = f"frames from {frame.source} ignored: the rig file states node_address = {self._address}"
-            if self.heard_frames is None and (not self._unheard or _has_node_frame(frame.payload)):
+            if self._heard_frames is None and (not self._unheard or _has_node_frame(frame.payload)):
                 self._unheard = text
             return self._foreign_event(text, {"source": frame.source})
         if frame.rssi_dBm is not None:
@@ -126,7 +127,7 @@ class XBeePipeline(NodePipeline):
                 "must be in API mode, and send one payload, without COBS, in each frame"
             )
             return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
-        if self.heard_frames is None:  # the address is right
+        if self._heard_frames is None:  # the address is right
             self._unheard = ""
         return self.take([inner], host_ns)
 

@@ -395,7 +395,7 @@ def test_an_encoder_that_starts_again_gives_no_samples_until_the_rig_is_opened()
     line.all_answer()
     (restart,) = line.events("restart")
     assert "encoder b (node 4) started again" in restart.text
-    assert "started again" in line.pipeline.complaint
+    assert "started again" in line.pipeline.status.complaint
     assert len(line.batches()) == 1
     assert line.losses == {"invalid": 1}
 

@@ -172,7 +172,7 @@ def test_only_the_identifier_of_sync_is_one() -> None:
     line.all_answer()
     assert line.pipeline.syncs == 2
     assert line.losses == {}
-    assert EncoderPipeline.has_reported is True
+    assert line.pipeline.status.has_reported
 
 
 def test_without_sync_those_of_the_bus_have_no_effect() -> None:
@@ -266,10 +266,10 @@ def test_positions_are_those_below_the_number_of_positions(position: int, invali
 def test_heartbeats_are_no_complaint_and_the_first_encoder_that_starts_again_is_named() -> None:
     line = Line()
     line.at(0.0, RX, rx(b"t703105\rt704105\r"))
-    assert line.pipeline.complaint == ""
+    assert line.pipeline.status.complaint == ""
     for node in (b"t7041", b"t7031"):
         line.at(1.0, RX, rx(node + b"00\r"))
-    assert line.pipeline.complaint == "encoder b (node 4) started again: its set-up is gone. Open the rig again"
+    assert line.pipeline.status.complaint == "encoder b (node 4) started again: its set-up is gone. Open the rig again"
     assert [event.facts["encoder"] for event in line.events("restart")] == ["b", "a"]
 
 

@@ -132,12 +132,12 @@ def test_the_clock_of_a_bus_with_one_continues_from_an_earlier_log(without: tupl
     found = line.feed(RX, laser_x(1, time_us=2_000_000), START_NS + 1_003 * MS)
     (batch,) = (item for item in found if isinstance(item, Batch))
     assert batch.time_ns.tolist() == [START_NS + (1_000 if seeded else 1_003) * MS]
-    seed = line.clock_seed
+    seed = line.status.clock_seed
     assert (seed is not None) == seeded
     assert seed is None or (seed.device_ns, seed.wrap_ns) == (2_000 * MS, 2**32 * 1000)
 
 
 def test_a_bus_without_displacements_has_no_clock_and_uses_no_seed() -> None:
     line = joined("x", "y", identity={"clock_seed": "damaged"})
-    assert line.clock_seed is None
+    assert line.status.clock_seed is None
     assert counters(line.feed(RX, encode(CanFrame(0x300, bytes(4))), MS), "can/temperatures") == [0]

@@ -43,9 +43,7 @@ def settings(**more: Any) -> MicroStrainNode:
 
 
 def pipeline(identity: dict[str, Any] | None = None, **more: Any) -> MicroStrainPipeline:
-    given = settings(**more)
-    channels = DRIVER.channels(given)
-    return MicroStrainPipeline("node", given, identity or {}, channels[1] if len(channels) > 1 else None)
+    return MicroStrainPipeline("node", settings(**more), identity or {})
 
 
 def packet(kind: int, payload: bytes, address: int = NODE, version: int = 3, base_rssi: int = -61) -> bytes:
@@ -267,7 +265,7 @@ def test_the_beacon_s_answers_give_the_times_without_the_delay_of_the_radio() ->
             found = line.feed(RX, sweeps(number, [(1, 1)] * 8), due_ns + 80_000_000)
             (batch,) = [item for item in found if isinstance(item, Batch)]
             assert abs(int(batch.time_ns[-1]) - due_ns) < 20_000
-    assert line.clock_seed is not None
+    assert line.status.clock_seed is not None
 
 
 @pytest.mark.parametrize(("later_ns", "used"), [(0, True), (60 * S, True), (60 * S + 1, False)])
@@ -301,10 +299,10 @@ def test_a_beacon_that_is_off_is_reported_once() -> None:
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == []
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["restart"]
-    assert "beacon is off" in line.set_up_lost
+    assert "beacon is off" in line.status.set_up_lost
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
     line.feed(RX, status(UTC_S * S), UTC_S * S)
-    assert line.set_up_lost == ""
+    assert line.status.set_up_lost == ""
 
 
 def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a_reply() -> None:

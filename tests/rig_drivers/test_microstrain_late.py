@@ -165,13 +165,13 @@ def test_a_node_that_sends_samples_of_another_kind_only_is_explained() -> None:
     assert line.feed(RX, other * 2, S) == []
     (fault,) = line.feed(RX, other, S)
     assert isinstance(fault, DeviceEvent)
-    assert (fault.kind, fault.text) == ("fault", line.complaint)
-    assert "type 1Dh (buffered low duty cycle), not of synchronized sampling" in line.complaint
+    assert (fault.kind, fault.text) == ("fault", line.status.complaint)
+    assert "type 1Dh (buffered low duty cycle), not of synchronized sampling" in line.status.complaint
     assert line.feed(RX, other, S) == []
     line = pipeline()
     line.feed(RX, sweeps(0, [(1, 1)]), S)
     assert line.feed(RX, other * 5, S) == []
-    assert line.complaint == ""
+    assert line.status.complaint == ""
 
 
 @pytest.mark.parametrize(("kind", "payload"), [(0x16, bytes(21)), (0x00, b"\x0f\x08\xfc")])
@@ -192,18 +192,18 @@ def test_a_node_that_was_switched_on_and_does_not_sample_has_lost_its_set_up() -
     line.feed(RX, status(UTC_S * S), S)
     line.feed(RX, packet(0x18, bytes(17)), S)
     line.feed(RX, status(UTC_S * S), 6 * S)
-    assert line.set_up_lost == ""
+    assert line.status.set_up_lost == ""
     line.feed(RX, status(UTC_S * S), 6 * S + 1)
-    assert line.set_up_lost == "the node was switched on and does not sample"
+    assert line.status.set_up_lost == "the node was switched on and does not sample"
     line.feed(RX, status(UTC_S * S), 7 * S)
-    assert line.set_up_lost
+    assert line.status.set_up_lost
     line.feed(RX, packet(0x31, b"\xbe\xac" + UTC_S.to_bytes(4, "big"), BASE), 8 * S)
     line.feed(RX, status(UTC_S * S), 20 * S)
-    assert line.set_up_lost == ""
+    assert line.status.set_up_lost == ""
     line.feed(RX, packet(0x18, bytes(17)), 21 * S)
     line.feed(RX, sweeps(0, [(1, 1)]), 22 * S)
     line.feed(RX, status(UTC_S * S), 40 * S)
-    assert line.set_up_lost == ""
+    assert line.status.set_up_lost == ""
 
 
 def test_a_base_station_that_refuses_its_beacon_s_time_is_doubted_once() -> None:

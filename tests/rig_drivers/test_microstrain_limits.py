@@ -56,9 +56,9 @@ def payload_of(data: bytes) -> bytes:
 
 def test_a_seed_of_the_beacon_s_clock_wraps_after_32_bits_of_seconds() -> None:
     line = pipeline()
-    assert line.clock_seed is None
+    assert line.status.clock_seed is None
     line.feed(RX, sweeps(0, [(1, 1)] * 2), 5 * S)
-    seed = line.clock_seed
+    seed = line.status.clock_seed
     assert seed is not None
     assert seed.wrap_ns == 4_294_967_296_000_000_000
     assert (seed.device_ns, seed.host_ns) == (UTC_S * S + 3_906_250, 5 * S)
@@ -91,9 +91,9 @@ def test_a_packet_as_set_up_ends_a_series_of_contradicting_ones() -> None:
     line, bad = pipeline(), sweeps(0, [(1, 1)], rate=106)
     found = [kinds(line.feed(RX, data, S)) for data in (bad, bad, sweeps(0, [(1, 1)]), bad, bad, bad, bad)]
     assert found == [["damage"], ["damage"], [], ["damage"], ["damage"], ["fault"], []]
-    assert line.complaint
+    assert line.status.complaint
     assert len(thetas(line.feed(RX, sweeps(1, [(1, 1)]), S))) == 1
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     assert line.losses == {"samples": 0, "damaged_packets": 6, "bytes": 0, "foreign_packets": 0}
 
 
@@ -111,9 +111,9 @@ def test_the_words_of_a_contradiction_state_what_the_node_sends(wrong: dict[str,
     line = pipeline()
     damage = only_event(line.feed(RX, sweeps(0, [(1, 1)], **wrong), S))
     assert (damage.kind, damage.text, damage.facts) == ("damage", f"packet dropped: {words}", {"reason": words})
-    assert not line.has_reported
+    assert not line.status.has_reported
     line.feed(RX, 2 * sweeps(0, [(1, 1)], **wrong), S)
-    assert line.complaint == f"{words}. Correct the rig file or set up the node"
+    assert line.status.complaint == f"{words}. Correct the rig file or set up the node"
 
 
 def test_every_rate_of_a_node_is_accepted_with_its_code() -> None:
@@ -156,14 +156,14 @@ def test_only_packets_of_samples_of_this_node_give_samples() -> None:
     line, payload = pipeline(), payload_of(sweeps(0, [(1, 1)]))
     for kind in (0x19, 0x1B):
         assert line.feed(RX, packet(kind, payload), S) == []
-    assert not line.has_reported
+    assert not line.status.has_reported
     for address, kind in ((100, 0x1A), (308, 0x1A), (BASE + 1, 0x31), (BASE, 0x1A)):
         event = only_event(line.feed(RX, packet(kind, payload, address), S))
         assert (event.kind, event.facts) == ("foreign", {"node": address})
     answer = only_event(line.feed(RX, packet(0x22, b"\x00\x07", NODE), S))
     assert (answer.kind, answer.text) == ("reply", f"34 {NODE} {S} 0007")
     assert len(thetas(line.feed(RX, packet(0x1A, payload), S))) == 1
-    assert line.has_reported
+    assert line.status.has_reported
 
 
 def test_sixteen_foreign_nodes_have_an_event_of_their_own() -> None:

@@ -106,7 +106,7 @@ def test_a_velocity_that_is_not_finite_is_not_encoded(turns_per_s: float) -> Non
 @given(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans(), st.sampled_from(["0.5", "0.6"]))
 def test_no_frame_breaks_the_decoder(arbitration_id: int, data: bytes, remote: bool, firmware: str) -> None:
     pipeline = OdrivePipeline(
-        "drive", axis(firmware=firmware, node_id=arbitration_id >> 5 if arbitration_id < 0x7E0 else 1)
+        "drive", axis(firmware=firmware, node_id=arbitration_id >> 5 if arbitration_id < 0x7E0 else 1), {}
     )
     frame = CanFrame(arbitration_id, bytes(len(data)) if remote else data, remote=remote)
     for direction in (RX, TX, RX):
@@ -166,7 +166,7 @@ def test_the_gear_converts_speeds() -> None:
 
 
 def test_estimates_become_samples_with_set_point_and_state() -> None:
-    pipeline = OdrivePipeline("drive", axis(gear_ratio=2.0))
+    pipeline = OdrivePipeline("drive", axis(gear_ratio=2.0), {})
     pipeline.feed(TX, text(wire.set_velocity(1, 25.0)), 0)
     pipeline.feed(RX, text(beat(state=wire.CLOSED_LOOP)), MS)
     found = rows(pipeline.feed(RX, text(estimates(0.0, 24.0), estimates(0.2, 24.5)), 2 * MS))
@@ -176,7 +176,7 @@ def test_estimates_become_samples_with_set_point_and_state() -> None:
 
 
 def test_frames_of_other_nodes_are_ignored() -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     others = text(
         beat(node=2), estimates(0.0, 9.0, node=2), CanFrame(0x29, bytes(8), extended=True), CanFrame(0x701, b"\5")
     )
@@ -189,7 +189,7 @@ def test_frames_of_other_nodes_are_ignored() -> None:
     [CanFrame(0x29, bytes(7)), CanFrame(0x29, struct.pack("<ff", 0.0, math.nan)), CanFrame(0x21, bytes(5))],
 )
 def test_unreadable_reports_are_counted_and_reported(frame: CanFrame) -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     items = pipeline.feed(RX, text(frame), 0)
     assert kinds(items) == ["damage"]
     assert not rows(items)
@@ -197,7 +197,7 @@ def test_unreadable_reports_are_counted_and_reported(frame: CanFrame) -> None:
 
 
 def test_errors_are_emergencies_once_and_their_end_is_one() -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     pipeline.feed(RX, text(beat(state=wire.CLOSED_LOOP)), 0)
     items = pipeline.feed(RX, text(beat(0x200), beat(0x200)), MS)
     assert kinds(items) == ["drive", "emergency"]
@@ -214,7 +214,7 @@ def test_error_codes_that_are_sent_periodically_are_an_event_only_when_they_chan
     def codes(active: int, reason: int) -> CanFrame:
         return CanFrame(0x23, struct.pack("<II", active, reason))
 
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     assert kinds(pipeline.feed(RX, text(*[codes(0, 0)] * 5), 0)) == ["status"]
     assert kinds(pipeline.feed(RX, text(*[codes(0x200, 0x200)] * 5), MS)) == ["status"]
     assert pipeline.errors == {"active_errors": 0x200, "disarm_reason": 0x200}
@@ -225,7 +225,7 @@ def test_error_codes_that_are_sent_periodically_are_an_event_only_when_they_chan
 @pytest.mark.parametrize("firmware", ["0.5", "0.6"])
 def test_an_expired_watchdog_is_an_emergency_only_of_a_driven_rotor(firmware: str) -> None:
     expired = wire.WATCHDOG[firmware]
-    pipeline = OdrivePipeline("drive", axis(firmware=firmware))
+    pipeline = OdrivePipeline("drive", axis(firmware=firmware), {})
     pipeline.feed(RX, text(beat()), 0)
     assert kinds(pipeline.feed(RX, text(beat(expired)), MS)) == ["drive"]
     pipeline.feed(RX, text(beat(state=wire.CLOSED_LOOP)), 2 * MS)
@@ -233,7 +233,7 @@ def test_an_expired_watchdog_is_an_emergency_only_of_a_driven_rotor(firmware: st
 
 
 def test_a_restart_is_seen_in_state_and_position() -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     began_ns = 1_700_000_000_000_000_000
     pipeline.feed(RX, text(beat(), estimates(300.0, 2.0)), began_ns)
     assert "restart" in kinds(pipeline.feed(RX, text(beat(state=0)), began_ns + MS))
@@ -246,13 +246,13 @@ def test_a_restart_is_seen_in_state_and_position() -> None:
 @pytest.mark.parametrize(("position", "found"), [(293.1, []), (292.9, ["restart"])])
 def test_a_position_may_return_by_the_motion_of_the_time_passed(position: float, found: list[str]) -> None:
     """5 turns, and the motion at 1 turn/s in the second passed and one more: 7 turns."""
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     pipeline.feed(RX, text(beat(), estimates(300.0, 1.0)), 0)
     assert kinds(pipeline.feed(RX, text(estimates(position, -0.5)), 1000 * MS)) == found
 
 
 def test_a_command_of_another_node_is_a_fault() -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     own = wire.set_velocity(1, 2.0)
     pipeline.feed(TX, text(own), 0)
     assert kinds(pipeline.feed(RX, text(own), MS)) == [], "an adapter may echo"
@@ -265,20 +265,20 @@ def test_a_command_of_another_node_is_a_fault() -> None:
 
 @pytest.mark.parametrize("command", [wire.CONTROLLER_MODE, 0x0E, 0x0F, wire.CLEAR_ERRORS])
 def test_other_commands_of_the_host_leave_the_set_point(command: int) -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     pipeline.feed(TX, text(wire.set_velocity(1, 3.0)), 0)
     pipeline.feed(TX, text(CanFrame(1 << 5 | command, struct.pack("<ff", 5.0, 0.0))), MS)
     assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), 2 * MS)) == [(0.0, 180.0, 0)]
 
 
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
-    pipeline = OdrivePipeline("drive", axis())
+    pipeline = OdrivePipeline("drive", axis(), {})
     assert kinds(pipeline.feed(RX, text(wire.set_velocity(1, 3.0)), 0)) == []
     assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), MS)) == [(0.0, 180.0, 0)]
 
 
 def test_a_rotor_that_does_not_follow_is_a_fault() -> None:
-    pipeline = OdrivePipeline("drive", axis(follow_s=0.1))
+    pipeline = OdrivePipeline("drive", axis(follow_s=0.1), {})
     pipeline.feed(TX, text(wire.set_velocity(1, 10.0)), 0)
     items = [kind for n in range(30) for kind in kinds(pipeline.feed(RX, text(estimates(0.0, 0.0)), n * 10 * MS))]
     assert items == ["fault"]

@@ -24,7 +24,7 @@ Items = list[Batch | DeviceEvent]
 
 def pipeline(**settings: Any) -> OdrivePipeline:
     table = {"driver": "odrive", "port": "p", "node_id": 1, "firmware": "0.6", "watchdog_s": 0.5, **settings}
-    return OdrivePipeline("drive", Odrive.model_validate(table))
+    return OdrivePipeline("drive", Odrive.model_validate(table), {})
 
 
 def text(*frames: CanFrame) -> bytes:

@@ -16,7 +16,6 @@ from pydantic import ValidationError
 
 import rig_testing
 from daq.acquisition.session import Session
-from daq.channels import displacement_channel
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
@@ -37,7 +36,7 @@ def settings(**more: Any) -> EthernetLaser:
 
 
 def pipeline(**more: Any) -> EthernetPipeline:
-    return EthernetPipeline("laser", settings(**more), displacement_channel("laser/x"), {})
+    return EthernetPipeline("laser", settings(**more), {})
 
 
 def packet(counter: int, codes: list[int], serial: int = 77) -> bytes:
@@ -128,7 +127,7 @@ def test_missing_frames_are_counted_exactly_and_keep_their_time() -> None:
 
 def test_a_counter_of_packets_gives_about_the_number_of_lost_samples() -> None:
     line = pipeline(counts="packets")
-    assert line.clock_seed is None
+    assert line.status.clock_seed is None
     line.feed(RX, packet(7, [1, 2]), S)
     assert kinds(line.feed(RX, packet(8, [3, 4, 5]), S + 1000)) == []
     (gap, _) = line.feed(RX, packet(11, [6, 7]), S + 2000)
@@ -145,15 +144,15 @@ def test_a_counter_that_steps_back_is_a_restart() -> None:
 
 def test_another_sensor_gives_no_samples() -> None:
     line = pipeline(serial=78)
-    assert line.has_reported is False
+    assert line.status.has_reported is False
     assert kinds(line.feed(RX, packet(0, [1]), S)) == ["fault"]
-    assert line.has_reported
-    assert "serial number 77, expected 78" in line.complaint
+    assert line.status.has_reported
+    assert "serial number 77, expected 78" in line.status.complaint
     assert line.feed(RX, packet(1, [1]), S) == []
     (batch,) = line.feed(RX, packet(2, [1], serial=78), 2 * S)
     assert isinstance(batch, Batch)
-    assert line.complaint == ""
-    assert line.learned == {"order": 4120175, "serial": 78}
+    assert line.status.complaint == ""
+    assert line.status.learned == {"order": 4120175, "serial": 78}
     assert line.feed(TX, packet(3, [1]), 3 * S) == []
 
 
@@ -163,7 +162,7 @@ def test_a_sensor_that_takes_the_place_of_another_gives_no_samples() -> None:
     line.feed(RX, packet(0, [1]), S)
     assert kinds(line.feed(RX, packet(1, [1], serial=78), S)) == ["fault"]
     assert len(line.feed(RX, packet(1, [1]), S)) == 1
-    later = EthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 77})
+    later = EthernetPipeline("laser", settings(), {"serial": 77})
     assert kinds(later.feed(RX, packet(1, [1], serial=78), S)) == ["fault"]
 
 
@@ -173,10 +172,10 @@ def test_the_next_log_continues_the_clock(wait_s: float) -> None:
     line = pipeline(rate_Hz=1000.0)
     for i in range(100):
         line.feed(RX, packet(10 * i, [1] * 10), S + i * 10_000_000)
-    seed = line.clock_seed
+    seed = line.status.clock_seed
     assert seed is not None
     identity = {"serial": 77, "clock_seed": asdict(seed)}
-    later = EthernetPipeline("laser", settings(rate_Hz=1000.0), displacement_channel("laser/x"), identity)
+    later = EthernetPipeline("laser", settings(rate_Hz=1000.0), identity)
     number = 1000 + round(1000 * wait_s)
     true_ns = S + (number - 9) * 1_000_000
     (batch,) = later.feed(RX, packet(number, [1]), true_ns + 30_000_000)
@@ -234,7 +233,7 @@ def test_words_of_the_other_scaling_give_a_fault_and_no_more_samples(scaling: st
     for number in range(11):
         items = line.feed(RX, packet(100 * number, [word + number] * 100), number * S // 50)
     assert kinds(items) == []
-    assert remedy in line.complaint
+    assert remedy in line.status.complaint
     assert not [item for item in items if isinstance(item, Batch)]
 
 
@@ -254,7 +253,7 @@ def test_words_that_fit_their_scaling_are_no_fault(more: dict[str, Any], words: 
     for at in range(0, 1100, 100):
         codes = [word % 2**32 for word in words[at : at + 100]]
         line.feed(RX, packet(at, codes), at * S // 5000)
-    assert line.complaint == ""
+    assert line.status.complaint == ""
 
 
 # --- a sensor that loses power, is set otherwise, or counts otherwise ------------------------------------------------
@@ -326,7 +325,7 @@ def test_a_counter_of_the_end_of_a_packet_gives_no_false_gaps(end: int) -> None:
     (gap, _) = line.feed(RX, packet(number + end + 130, [MID] * 30), S + 340_000_000)
     assert kinds([gap]) == ["gap"]
     assert line.losses["samples"] == 100
-    assert line.clock_seed is None
+    assert line.status.clock_seed is None
 
 
 @pytest.mark.parametrize(("counts", "step", "remedy"), [("frames", 1, "packets"), ("packets", 50, "frames")])
@@ -338,7 +337,7 @@ def test_a_counter_that_counts_otherwise_is_a_fault_with_the_remedy(counts: str,
         items += line.feed(RX, packet(7 + step * i, [MID] * 50), S + i * 10_000_000)
     assert kinds(items).count("fault") == 1
     assert "restart" not in kinds(items) or counts == "packets"  # so many packets could not have been sent
-    assert f'set counts = "{remedy}"' in line.complaint
+    assert f'set counts = "{remedy}"' in line.status.complaint
     assert len(recorded(items)) <= 150
 
 
@@ -369,9 +368,9 @@ def test_frames_of_another_size_are_named() -> None:
     for i in range(6):
         items += line.feed(RX, frames_packet(50 * i, [[1, 2, 3]] * 50), S + i * 10_000_000)
     assert kinds(items) == ["fault"]
-    assert "its frames have 3 values, expected 1 (words = DIST)" in line.complaint
+    assert "its frames have 3 values, expected 1 (words = DIST)" in line.status.complaint
     assert recorded(line.feed(RX, packet(300, [7]), 2 * S)) == [7]
-    assert line.complaint == ""
+    assert line.status.complaint == ""
 
 
 @pytest.mark.parametrize("count", [8, 12])
@@ -379,7 +378,7 @@ def test_the_size_of_other_frames_is_found_though_their_number_could_be_one(coun
     line = pipeline()
     for i in range(4):
         line.feed(RX, frames_packet(count * i, [[1, 2, 3]] * count), S + i * 10_000_000)
-    assert "have 3 values" in line.complaint
+    assert "have 3 values" in line.status.complaint
 
 
 def test_values_selected_while_it_is_read_give_no_samples() -> None:
@@ -390,10 +389,10 @@ def test_values_selected_while_it_is_read_give_no_samples() -> None:
     assert recorded(line.feed(RX, first, S)) == [MID] * 50
     items = line.feed(RX, other, S + 10_000_000)
     assert (kinds(items), recorded(items)) == (["fault"], [])
-    assert "flags 00000100h 00000000h, expected 00010000h" in line.complaint
+    assert "flags 00000100h 00000000h, expected 00010000h" in line.status.complaint
     back = line.feed(RX, frames_packet(100, [[10_000_000, 1]] * 50, flags=1 << 16), S + 20_000_000)
     assert (kinds(back), recorded(back)) == (["gap"], [MID] * 50)
-    assert (line.complaint, line.losses["samples"]) == ("", 50)
+    assert (line.status.complaint, line.losses["samples"]) == ("", 50)
 
 
 def test_flags_that_name_other_values_are_reported_once() -> None:
@@ -402,7 +401,7 @@ def test_flags_that_name_other_values_are_reported_once() -> None:
     items = line.feed(RX, frames_packet(0, [[512, 10_000_000]] * 50, flags=1 << 8), S)
     assert kinds(items) == ["doubt"]
     assert "sends INTENSITY, DIST, expected words = DIST, STATE" in line.doubt
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     assert kinds(line.feed(RX, frames_packet(50, [[512, 10_000_000]] * 50, flags=1 << 8), S + 10_000_000)) == []
     checks = DRIVER.checks(settings(words=["DIST", "STATE"]), line, None, [])
     assert [check.passed for check in checks.values()] == [False, True]
@@ -415,7 +414,7 @@ def test_a_check_states_why_no_samples_are_taken() -> None:
     for i in range(11):
         line.feed(RX, packet(100 * i, [32_760] * 100), S + i * 20_000_000)
     check = DRIVER.checks(settings(), line, None, [])["packets"]
-    assert (check.passed, check.note) == (False, line.complaint)
+    assert (check.passed, check.note) == (False, line.status.complaint)
     assert 'set scaling = "ILD1420"' in check.note
 
 
@@ -439,13 +438,13 @@ def test_a_rate_that_is_changed_ends_the_samples_until_it_is_right_again() -> No
     assert kinds(items) == []
     slow = run(2500, 10)
     assert kinds(slow) == ["fault"]
-    assert "about 2500 Hz, expected 5000 Hz" in line.complaint
+    assert "about 2500 Hz, expected 5000 Hz" in line.status.complaint
     assert len(recorded(slow)) < 2500 * 5
     back = run(5000, 5)
     assert kinds(back) == ["gap", "restart"]
     ends = [int(item.time_ns[-1]) for item in back if isinstance(item, Batch)]
     assert ends[-1] == pytest.approx(true_ns, abs=1_000_000)
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     taken = len(recorded(items + slow + back))
     assert line.losses["samples"] + taken == counter
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.channels import displacement_channel
 from daq.items import RX, Batch, DeviceEvent
 from rig_drivers.optoncdt_ethernet import wire
 from rig_drivers.optoncdt_ethernet.stream import EthernetPipeline
@@ -18,7 +17,7 @@ PERIOD_NS = 200_000
 
 
 def with_identity(identity: dict[str, Any], **more: Any) -> EthernetPipeline:
-    return EthernetPipeline("laser", settings(**more), displacement_channel("laser/x"), identity)
+    return EthernetPipeline("laser", settings(**more), identity)
 
 
 def events(items: Items, kind: str = "") -> list[DeviceEvent]:
@@ -60,7 +59,7 @@ def test_packets_of_one_read_are_one_batch_that_begins_with_the_counter() -> Non
     assert batch.columns["displacement_m"] == pytest.approx([0, 5e-7, 0], abs=1e-12)
     assert batch.columns["flags"].tolist() == [0, 0, 0]
     assert batch.time_ns.tolist() == [S - 2 * PERIOD_NS, S - PERIOD_NS, S]
-    seed = line.clock_seed
+    seed = line.status.clock_seed
     assert seed is not None
     assert (seed.wrap_ns, seed.device_ns, seed.host_ns) == (2**32 * PERIOD_NS, 2 * PERIOD_NS, S)
 
@@ -113,7 +112,7 @@ def test_bytes_before_the_first_packet_are_no_damage() -> None:
     (damage,) = line.feed(RX, b"\x04" * 7, S)
     assert isinstance(damage, DeviceEvent)
     assert (damage.kind, damage.facts) == ("damage", {"bytes": 7})
-    assert damage.text == "7 bytes skipped that do not belong to a packet"
+    assert damage.text == "7 bytes skipped that belong to no packet"
     assert line.losses["bytes"] == 7
 
 
@@ -131,11 +130,11 @@ def test_frames_of_another_size_are_a_fault_in_place_of_damage() -> None:
 
 def test_a_sensor_of_which_only_the_size_of_frames_is_known_has_reported() -> None:
     line = pipeline()
-    assert not line.has_reported
+    assert not line.status.has_reported
     for n in range(6):
         line.feed(RX, frames_packet(3 * n, [[1, 2, 3]] * 50), S + n)
-    assert line.has_reported
-    assert line.learned == {}
+    assert line.status.has_reported
+    assert line.status.learned == {}
 
 
 # --- serial numbers and flags ----------------------------------------------------------------------------------------
@@ -147,10 +146,12 @@ def test_a_sensor_that_comes_back_is_the_same_as_before(other: int) -> None:
     assert recorded(line.feed(RX, packet(0, [1], serial=70_000), S)) == [1]
     for _ in range(2):
         line.feed(RX, packet(1, [2], serial=other), S)
-    assert line.complaint.startswith(f"the sensor has serial number {other}, expected 70000, that of the rig file")
+    assert line.status.complaint.startswith(
+        f"the sensor has serial number {other}, expected 70000, that of the rig file"
+    )
     back = line.feed(RX, packet(1, [3], serial=70_000), S)
-    assert (kinds(back), recorded(back), line.complaint) == ([], [3], "")
-    assert line.learned == {"order": 4120175, "serial": 70_000}
+    assert (kinds(back), recorded(back), line.status.complaint) == ([], [3], "")
+    assert line.status.learned == {"order": 4120175, "serial": 70_000}
     named = pipeline(serial=70_000)
     assert recorded(named.feed(RX, packet(0, [1], serial=70_000), S)) == [1]
 
@@ -158,7 +159,7 @@ def test_a_sensor_that_comes_back_is_the_same_as_before(other: int) -> None:
 def test_a_packet_of_another_sensor_does_not_hide_those_after_it_in_a_read() -> None:
     line = pipeline()
     assert recorded(line.feed(RX, packet(0, [1]), S)) == [1]
-    assert (line.has_reported, line.losses) == (True, {"samples": 0, "bytes": 0, "invalid": 0})
+    assert (line.status.has_reported, line.losses) == (True, {"samples": 0, "bytes": 0, "invalid": 0})
     items = line.feed(RX, packet(0, [2], serial=78) + packet(1, [3]), S + 1)
     assert (kinds(items), recorded(items)) == (["fault"], [3])
 
@@ -190,10 +191,10 @@ def test_other_flags_are_one_fault_until_the_first_ones_come_back(first: int, ot
     assert (fault.kind, fault.facts) == ("fault", {"flags_1": other, "flags_2": 5})
     assert fed(2, other) == []
     assert kinds(fed(3, first, 6)) == ["fault"]
-    assert f"flags {first:08X}h 00000006h, expected {first:08X}h 00000005h, those of" in line.complaint
+    assert f"flags {first:08X}h 00000006h, expected {first:08X}h 00000005h, those of" in line.status.complaint
     assert fed(4, first, 6) == []
     back = fed(5, first)
-    assert (kinds(back), recorded(back), line.complaint) == (["gap"], [32_760], "")
+    assert (kinds(back), recorded(back), line.status.complaint) == (["gap"], [32_760], "")
     assert line.losses["samples"] == 4
 
 
@@ -229,7 +230,7 @@ def test_each_change_of_the_rate_counts_the_samples_that_were_not_taken() -> Non
         assert sensor.run(7, 2500) == ["fault"]
         assert sensor.run(3) == ["gap", "restart"]
     line = sensor.line
-    assert 0 < line.clock_std_ns < 1e7
+    assert 0 < line.status.clock_std_ns < 1e7
     assert line.losses["samples"] == sensor.counter - len(recorded(sensor.items))
     gaps = events(sensor.items, "gap")
     lost = [gap.facts["samples"] for gap in gaps]
@@ -246,7 +247,7 @@ def test_samples_of_another_scaling_are_not_among_those_of_another_rate() -> Non
     """A fault of the scaling ends when another sensor has sent in between."""
     sensor = Sensor(pipeline(range_m=0.02))
     sensor.line.feed(RX, packet(0, [32_760] * 1000), S)
-    assert 'set scaling = "ILD1420"' in sensor.line.complaint
+    assert 'set scaling = "ILD1420"' in sensor.line.status.complaint
     assert sensor.line.feed(RX, packet(1000, [32_760]), S) == []
     assert kinds(sensor.line.feed(RX, packet(0, [1], serial=78), S)) == ["fault"]
     sensor.counter = 1000

@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.channels import displacement_channel
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log import open_log
@@ -39,7 +38,7 @@ def sensor(**settings: Any) -> PolledLaser:
 
 
 def pipeline(**settings: Any) -> PolledPipeline:
-    return PolledPipeline("gauge", sensor(**settings), displacement_channel("laser/x"))
+    return PolledPipeline("gauge", sensor(**settings), {})
 
 
 def samples(items: list[Batch | DeviceEvent]) -> list[tuple[int, float]]:

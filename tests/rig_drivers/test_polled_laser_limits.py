@@ -21,7 +21,7 @@ Items = list[Batch | DeviceEvent]
 
 def pipeline(**settings: Any) -> PolledPipeline:
     table = {"driver": "polled_laser", "port": "p", "axis": "x", "dialect": "LK-G", **settings}
-    return PolledPipeline("gauge", PolledLaser.model_validate(table), displacement_channel("laser/x"))
+    return PolledPipeline("gauge", PolledLaser.model_validate(table), {})
 
 
 def batches(items: Items) -> list[Batch]:

@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.channels import displacement_channel
 from daq.items import RX, TX, Batch, DeviceEvent
 from rig_drivers.riftek_ethernet import identity, wire
 from rig_drivers.riftek_ethernet.driver import DRIVER
@@ -33,7 +32,7 @@ def settings(**more: Any) -> RiftekEthernetLaser:
 
 
 def pipeline(**more: Any) -> RiftekEthernetPipeline:
-    return RiftekEthernetPipeline("laser", settings(**more), displacement_channel("laser/x"), {})
+    return RiftekEthernetPipeline("laser", settings(**more), {})
 
 
 def packet(number: int, code: int = 8192, serial: int = 677, range_mm: int = 25, status: int = 0) -> bytes:
@@ -245,15 +244,15 @@ def test_another_sensor_gives_no_samples() -> None:
     line = pipeline(serial=678)
     assert kinds(line.feed(RX, packet(0), 0)) == ["damage"]
     assert kinds(line.feed(RX, packet(0), S)) == ["fault"]
-    assert line.has_reported
-    assert "expected serial number 678" in line.complaint
+    assert line.status.has_reported
+    assert "expected serial number 678" in line.status.complaint
     assert line.feed(RX, packet(1), S) == []
     found = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
     assert [isinstance(item, Batch) for item in found] == [True, True]
-    assert line.complaint == ""
-    assert line.learned == {"serial": 678}
-    first = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 5})
-    assert first.learned == {}
+    assert line.status.complaint == ""
+    assert line.status.learned == {"serial": 678}
+    first = RiftekEthernetPipeline("laser", settings(), {"serial": 5})
+    assert first.status.learned == {}
     assert kinds(first.feed(RX, packet(0), 0) + first.feed(RX, packet(1), S)) == ["damage", "fault"]
 
 
@@ -278,17 +277,17 @@ def test_what_comes_instead_of_packets_is_named_before_the_first_one(data: bytes
     line = pipeline(checksum=check)
     texts = [item.text for _ in range(3) for item in line.feed(RX, data, S) if isinstance(item, DeviceEvent)]
     assert words in texts[-1]
-    assert words in line.complaint
-    assert line.complaint.startswith("expected packets of a sensor with a range of 25 mm, got a packet")
-    assert not line.has_reported
+    assert words in line.status.complaint
+    assert line.status.complaint.startswith("expected packets of a sensor with a range of 25 mm, got a packet")
+    assert not line.status.has_reported
 
 
 def test_a_complaint_ends_with_the_first_packet_of_the_sensor() -> None:
     line = pipeline()
     line.feed(RX, packet(0, range_mm=50), S)
-    assert "50 mm" in line.complaint
+    assert "50 mm" in line.status.complaint
     found = [item for n in range(3) for item in line.feed(RX, packet(n), at(n))]
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     assert sum(isinstance(item, Batch) for item in found) == 2
     line.feed(RX, packet(9, serial=678), at(3))
     (event,) = line.feed(RX, packet(3), at(3))[:1]
@@ -297,11 +296,11 @@ def test_a_complaint_ends_with_the_first_packet_of_the_sensor() -> None:
 
 
 def test_a_log_that_begins_with_a_packet_of_another_sensor_goes_on() -> None:
-    line = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 677})
+    line = RiftekEthernetPipeline("laser", settings(), {"serial": 677})
     found = [item for n in range(30) for s in (678, 677) for item in line.feed(RX, packet(n, serial=s), at(n))]
     assert set(kinds(found)) == {"damage"}
     assert sum(isinstance(item, Batch) for item in found) >= 28
-    assert line.complaint == ""
+    assert line.status.complaint == ""
 
 
 def test_another_sensor_that_sends_to_the_same_port_ends_no_recording() -> None:
@@ -319,10 +318,10 @@ def test_another_sensor_that_sends_to_the_same_port_ends_no_recording() -> None:
     assert line.losses["bytes"] == 57 * 2 * 512
     texts = {item.text[item.text.index(";") :] for item in found if isinstance(item, DeviceEvent) and ";" in item.text}
     assert "; received: a packet of sensor 678" in texts
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     found = [item for n in range(30) for item in line.feed(RX, packet(n, serial=678), at(60 + n))]
     assert "fault" in kinds(found)
-    assert "got packets of sensor 678" in line.complaint
+    assert "got packets of sensor 678" in line.status.complaint
 
 
 @pytest.mark.parametrize("noise", [b"\x01\x02", b"\xff" * 512, bytes(512), b"M-SEARCH * HTTP/1.1" * 30, bytes(8)])
@@ -351,7 +350,7 @@ def test_a_sensor_is_recognised_by_two_packets_of_any_range() -> None:
 
 def test_the_uncertainty_of_the_times_is_stated() -> None:
     line = pipeline()
-    stds = [line.clock_std_ns for n in range(50) for _ in line.feed(RX, packet(n), at(n))]
+    stds = [line.status.clock_std_ns for n in range(50) for _ in line.feed(RX, packet(n), at(n))]
     assert stds[0] > 1e6
     assert stds[-1] < 1e5
 
@@ -362,7 +361,7 @@ def test_bytes_that_look_like_another_sensor_are_not_taken_for_one() -> None:
     line.feed(RX, packet(24), at(24))
     found = line.feed(RX, packet(25)[2:] + packet(26), at(26))
     assert kinds(found) == ["damage", "gap"]
-    assert line.complaint == ""
+    assert line.status.complaint == ""
     assert line.losses == {"samples": 168, "bytes": 510, "invalid": 0}
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.channels import displacement_channel
 from daq.items import RX, Batch, DeviceEvent
 from rig_drivers.riftek_ethernet.stream import RiftekEthernetPipeline
 from tests.rig_drivers.test_riftek_ethernet import S, at, kinds, packet, pipeline, settings
@@ -19,7 +18,7 @@ EXPECTED = "expected packets of a sensor with a range of 25 mm, got"
 
 
 def with_identity(identity: dict[str, Any], **more: Any) -> RiftekEthernetPipeline:
-    return RiftekEthernetPipeline("laser", settings(**more), displacement_channel("laser/x"), identity)
+    return RiftekEthernetPipeline("laser", settings(**more), identity)
 
 
 def events(items: Items) -> list[DeviceEvent]:
@@ -35,16 +34,16 @@ def test_packets_of_another_sensor_are_a_fault_after_a_silence_of_one_second(oth
     for host_ns, found in ((999_999_999, "damage"), (1_000_000_000, "fault")):
         line = pipeline(serial=678)
         assert kinds(line.feed(RX, packet(0, serial=other), 0)) == ["damage"]
-        assert (line.has_reported, line.losses["bytes"]) == (False, 512)
+        assert (line.status.has_reported, line.losses["bytes"]) == (False, 512)
         assert kinds(line.feed(RX, packet(1, serial=other), host_ns)) == [found]
         assert line.losses["samples"] == 0
-    assert line.complaint == (
+    assert line.status.complaint == (
         f"expected serial number 678, that of the rig file or of the sensor before, got packets of sensor {other}: "
         "look at its address"
     )
     (batch,) = line.feed(RX, packet(2, serial=678), 2 * S)
     assert isinstance(batch, Batch)
-    assert line.complaint == ""
+    assert line.status.complaint == ""
 
 
 def test_packets_of_another_sensor_do_not_hide_those_read_with_them() -> None:
@@ -79,12 +78,12 @@ def test_what_was_received_is_named_only_without_a_packet_of_the_sensor() -> Non
     line = pipeline()
     (damage,) = line.feed(RX, b"\xff" * 600, S)
     assert isinstance(damage, DeviceEvent)
-    assert (damage.text, damage.facts, line.complaint) == (f"89 {DAMAGE}", {"bytes": 89}, "")
+    assert (damage.text, damage.facts, line.status.complaint) == (f"89 {DAMAGE}", {"bytes": 89}, "")
     (damage,) = line.feed(RX, packet(0, range_mm=50), S)
     assert isinstance(damage, DeviceEvent)
     named = "a packet of sensor 677 with a range of 50 mm"
     assert damage.text == f"512 {DAMAGE}; received: {named}"
-    assert line.complaint == f"{EXPECTED} {named}. Look at the rig file, the sensor's settings and its address"
+    assert line.status.complaint == f"{EXPECTED} {named}. Look at the rig file, the sensor's settings and its address"
     assert line.losses["bytes"] == 89 + 512
     line = pipeline()
     items = line.feed(RX, packet(0) + 2 * packet(0, range_mm=50), S)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.drivers.contract import NoticesLostSetUp
 from daq.items import RX, TX
 from rig_drivers.riftek import wire
 from rig_drivers.riftek.driver import DRIVER
@@ -31,8 +30,7 @@ class Stream:
             self._number += count
             self._now_ns += round(read_s * 1e9)
             self.pipeline.feed(RX, wire.results(np.full(count, 8000), numbers % 4), self._now_ns)
-        assert isinstance(self.pipeline, NoticesLostSetUp)
-        return self.pipeline.set_up_lost
+        return self.pipeline.status.set_up_lost
 
     def wait(self, seconds: float) -> None:
         self._now_ns += round(seconds * 1e9)

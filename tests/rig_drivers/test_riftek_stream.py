@@ -31,7 +31,7 @@ def laser(rate_Hz: float = 1000.0, **other: Any) -> RiftekLaser:
 
 
 def pipeline(config: RiftekLaser, identity: dict[str, Any] | None = None) -> RiftekPipeline:
-    return RiftekPipeline("laser_x", config, channels.LASER_X, identity or {})
+    return RiftekPipeline("laser_x", config, identity or {})
 
 
 def feed(pipe: RiftekPipeline, reads: Reads) -> tuple[list[Batch], list[DeviceEvent]]:

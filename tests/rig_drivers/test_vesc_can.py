@@ -23,7 +23,7 @@ from rig_drivers.vesc_can import wire
 from rig_drivers.vesc_can.driver import DRIVER
 from rig_drivers.vesc_can.far_end import SimulatedVescCan
 from rig_drivers.vesc_can.settings import VescCan
-from rig_drivers.vesc_can.stream import can_pipeline
+from rig_drivers.vesc_can.stream import VescCanPipeline
 from rig_testing.bench import DriverBench
 from tests.daq.can_text import rx
 
@@ -151,13 +151,13 @@ def test_impossible_settings_are_refused(wrong: dict[str, Any], message: str) ->
 
 
 def test_status_messages_become_samples() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     pipeline.feed(TX, wire.CanCommands(23, 253).set_rpm(2100), 0)
     assert rows(pipeline.feed(RX, text(extended(0x0917, "0000083400000000")), MS)) == [(300.0, 300.0)]
 
 
 def test_answers_become_samples_and_an_identity() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     pipeline.feed(TX, wire.CanCommands(23, 253).get_values(), 0)
     answer = vesc.pack_values(vesc.Values(erpm=700, status=0))
     items = pipeline.feed(RX, text(*wire.pieces(answer, 23, 253)), MS)
@@ -169,7 +169,7 @@ def test_answers_become_samples_and_an_identity() -> None:
 
 
 def test_other_controllers_and_other_hosts_are_ignored() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     answer = vesc.pack_values(vesc.Values(erpm=700))
     foreign = [
         extended(0x0918, "0000083400000000"),  # status of another controller
@@ -183,7 +183,7 @@ def test_other_controllers_and_other_hosts_are_ignored() -> None:
 
 
 def test_damaged_answers_are_counted_and_reported() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     frames = wire.pieces(vesc.pack_values(vesc.Values(erpm=700)), 23, 253)
     assert kinds(pipeline.feed(RX, text(*frames[3:]), 0)) == [], "a log may begin within an answer"
     assert kinds(pipeline.feed(RX, text(*frames[:3], *frames[4:]), 0)) == ["damage"]
@@ -193,7 +193,7 @@ def test_damaged_answers_are_counted_and_reported() -> None:
 
 
 def test_a_command_of_another_node_is_a_fault() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     own, other = (wire.simple(wire.SET_RPM, 23, erpm) for erpm in (2100, 2800))
     pipeline.feed(TX, text(own), 0)
     assert kinds(pipeline.feed(RX, text(own), MS)) == [], "an adapter may echo"
@@ -202,7 +202,7 @@ def test_a_command_of_another_node_is_a_fault() -> None:
 
 
 def test_commands_to_other_controllers_and_frames_without_data_are_no_fault() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
     other = wire.simple(wire.SET_RPM, 23, 2800)
     for frame in (
@@ -236,7 +236,7 @@ def test_commands_to_other_controllers_and_frames_without_data_are_no_fault() ->
 )
 def test_each_command_of_another_node_is_a_fault(arbitration_id: int, data: str) -> None:
     """Each of them resets the timeout or changes the controller: it would go on without its host."""
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
     assert kinds(pipeline.feed(RX, text(extended(arbitration_id, data)), MS)) == ["fault"]
 
@@ -256,14 +256,14 @@ def test_each_command_of_another_node_is_a_fault(arbitration_id: int, data: str)
     ],
 )
 def test_queries_of_another_node_are_no_fault(arbitration_id: int, data: str) -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     pipeline.feed(TX, text(wire.simple(wire.SET_RPM, 23, 2100)), 0)
     assert pipeline.feed(RX, text(extended(arbitration_id, data)), MS) == []
 
 
 def test_the_queries_of_a_display_are_not_those_of_the_rig() -> None:
     """A session that only receives counts the polls of the rig's host, whose answers it decodes."""
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     display, own = extended(0x0817, "30 00 04"), extended(0x0817, "FD 00 04")
     answer = wire.pieces(vesc.pack_values(vesc.Values(erpm=700)), 23, 253)
     for _ in range(3):  # one read each: another host's frames are taken after the answers of their read
@@ -276,7 +276,7 @@ def test_the_queries_of_a_display_are_not_those_of_the_rig() -> None:
 
 def test_the_message_of_its_start_is_one_restart() -> None:
     """A controller sends it by itself, also one whose counters were 0 and so cannot decrease."""
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     before, after = (wire.pieces(vesc.pack_values(vesc.Values(turned=n)), 23, 253) for n in (500, 0))
     pipeline.feed(RX, text(*before), 0)
     boot, other = extended(0x3917, "36305F4D4B35"), extended(0x3918, "36305F4D4B35")
@@ -297,7 +297,7 @@ def of_kind(items: list[Batch | DeviceEvent], kind: str) -> list[DeviceEvent]:
 
 def test_status_messages_that_stop_are_counted_and_reported() -> None:
     """The controller goes on answering: without a count their absence looks like a lower rate."""
-    pipeline = can_pipeline("drive", controller(status_Hz=100.0, report_Hz=50.0))
+    pipeline = VescCanPipeline("drive", controller(status_Hz=100.0, report_Hz=50.0), {})
     items: list[Batch | DeviceEvent] = []
     for n in range(100):  # 2 s
         items += pipeline.feed(RX, ANSWER + STATUS + STATUS, n * 20 * MS)
@@ -316,7 +316,7 @@ def test_status_messages_that_stop_are_counted_and_reported() -> None:
 
 def test_status_messages_that_are_off_are_reported_once_and_are_no_loss() -> None:
     for status_Hz, expected in ((50.0, 1), (0.0, 0)):
-        pipeline = can_pipeline("drive", controller(status_Hz=status_Hz))
+        pipeline = VescCanPipeline("drive", controller(status_Hz=status_Hz), {})
         items = [item for n in range(200) for item in pipeline.feed(RX, ANSWER, n * 20 * MS)]
         assert len(of_kind(items, "status")) == expected
         assert not any(pipeline.losses.values())
@@ -332,7 +332,7 @@ def test_a_start_and_a_command_of_another_node_are_events_and_a_query_is_not() -
 
 
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     frames = text(wire.simple(wire.SET_RPM, 23, 2100), extended(0x0917, "0000083400000000"))
     assert rows(pipeline.feed(RX, frames, 0)) == [(300.0, 300.0)]
 
@@ -496,7 +496,7 @@ def test_the_stand_in_for_playing_accepts_any_identity(identity: dict[str, Any])
     assert not played.sending
     played.hear(open_bus(500_000))
     assert played.sending
-    pipeline = can_pipeline("drive", controller())
+    pipeline = VescCanPipeline("drive", controller(), {})
     query = wire.CanCommands(23, 253).firmware_version()
     (reply,) = pipeline.feed(RX, played.hear(query), 0)
     assert isinstance(reply, DeviceEvent)

@@ -17,7 +17,7 @@ from rig_drivers.vesc.settings import Vesc
 from rig_drivers.vesc.stream import VescPipeline
 from rig_drivers.vesc_can import wire as can
 from rig_drivers.vesc_can.settings import VescCan
-from rig_drivers.vesc_can.stream import VescCanPipeline, can_pipeline
+from rig_drivers.vesc_can.stream import VescCanPipeline
 from tests.daq.can_text import rx
 from tests.daq.motor_rows import rows
 
@@ -30,12 +30,12 @@ Items = list[Batch | DeviceEvent]
 
 def serial() -> VescPipeline:
     settings = Vesc(driver="vesc", port="-", pole_pairs=7, timeout_s=1.0, brake_A=10.0, follow_s=0.1)
-    return VescPipeline("drive", settings)
+    return VescPipeline("drive", settings, {})
 
 
 def on_bus(**settings: Any) -> VescCanPipeline:
     table = {"driver": "vesc_can", "port": "p", "pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0, "controller_id": 23}
-    return can_pipeline("drive", VescCan.model_validate(table | {"host_id": 100, "status_Hz": 0.0} | settings))
+    return VescCanPipeline("drive", VescCan.model_validate(table | {"host_id": 100, "status_Hz": 0.0} | settings), {})
 
 
 def answer(values: wire.Values = TURNS) -> bytes:
@@ -239,7 +239,7 @@ def test_speeds_of_the_status_have_the_newest_state() -> None:
     found = line.feed(RX, text(status(700)) + can_answer() + text(status(1400)), 2 * MS)
     assert rows(found) == [(300.0, 300.0, word), (100.0, 300.0, word), (200.0, 300.0, word)]
     assert rows(line.feed(RX, text(status(-700)), 3 * MS)) == [(-100.0, 300.0, word)]
-    assert line.status.count == 5
+    assert line.status_watch.count == 5
 
 
 def test_frames_of_controllers_with_other_numbers_are_not_its_own() -> None:

@@ -40,7 +40,7 @@ def events(items: list[Batch | DeviceEvent], kind: str) -> list[DeviceEvent]:
 
 
 def test_speed_target_and_state() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     assert pipeline.feed(TX, wire.set_rpm(2800) + wire.get_values(), 1) == []
     out = pipeline.feed(RX, answer(RUNNING), 2)
     assert samples(out) == [(300.0, 400.0, stream.SPEED << 8 | stream.STATUS_KNOWN)]
@@ -56,7 +56,7 @@ def test_speed_target_and_state() -> None:
 
 
 def braked(erpms: list[int], command: bytes) -> list[DeviceEvent]:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(TX, command, 1)
     data = b"".join(answer(replace(RUNNING, erpm=erpm)) for erpm in erpms)
     return events(pipeline.feed(RX, data, 2), "fault")
@@ -100,7 +100,7 @@ def test_states(values: wire.Values, command: int, text: str) -> None:
 
 
 def test_a_fault_is_an_emergency_with_its_meaning_and_its_end_has_none() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(RX, answer(RUNNING), 1)
     (fault,) = events(pipeline.feed(RX, answer(replace(RUNNING, fault=4)) * 3, 2), "emergency")
     assert "over-current" in fault.text
@@ -110,11 +110,11 @@ def test_a_fault_is_an_emergency_with_its_meaning_and_its_end_has_none() -> None
 
 
 def test_a_fault_in_the_first_report_is_an_event() -> None:
-    assert events(VescPipeline("drive", SETTINGS).feed(RX, answer(replace(RUNNING, fault=1)), 1), "emergency")
+    assert events(VescPipeline("drive", SETTINGS, {}).feed(RX, answer(replace(RUNNING, fault=1)), 1), "emergency")
 
 
 def test_a_restart_is_reported_once() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     later = replace(RUNNING, turned=3, charges=(0, 0, 0, 0))
     out = pipeline.feed(RX, answer(RUNNING) + answer(later) + answer(later), 1)
     assert len(events(out, "restart")) == 1
@@ -122,7 +122,7 @@ def test_a_restart_is_reported_once() -> None:
 
 
 def test_polls_without_an_answer_are_counted() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     for _ in range(4):
         pipeline.feed(TX, wire.get_values(), 1)
     (gap,) = events(pipeline.feed(RX, answer(RUNNING), 2), "gap")
@@ -134,7 +134,7 @@ def test_polls_without_an_answer_are_counted() -> None:
 
 def test_late_answers_are_no_loss() -> None:
     """After a stall of the host or the adapter each poll is answered, in order; no sample is missing."""
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(RX, answer(RUNNING), 0)
     for _ in range(3):
         pipeline.feed(TX, wire.get_values(), 1)
@@ -151,7 +151,7 @@ def test_late_answers_are_no_loss() -> None:
 
 def test_the_poll_of_a_release_does_not_make_the_one_before_it_a_loss() -> None:
     """It is sent at once, while the answer to the one before may still be on its way; both are answered."""
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(TX, wire.get_values(), 1)
     pipeline.feed(TX, wire.release() + wire.get_values(), 2)
     assert events(pipeline.feed(RX, answer(RUNNING) * 2, 3), "gap") == []
@@ -161,7 +161,7 @@ def test_the_poll_of_a_release_does_not_make_the_one_before_it_a_loss() -> None:
 
 
 def test_a_rotor_that_does_not_follow_is_reported_once_until_it_does() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(TX, wire.set_rpm(7000), 1)
     assert not events(pipeline.feed(RX, answer(RUNNING) * 4, 2), "fault")
     (fault,) = events(pipeline.feed(RX, answer(RUNNING) * 10, 3), "fault")
@@ -173,7 +173,7 @@ def test_a_rotor_that_does_not_follow_is_reported_once_until_it_does() -> None:
 
 @pytest.mark.parametrize("command", [wire.set_brake(1.0), wire.release(), b""])
 def test_only_a_speed_is_followed(command: bytes) -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     pipeline.feed(TX, command, 1)
     faults = events(pipeline.feed(RX, answer(RUNNING) * 20, 2), "fault")
     assert not [fault for fault in faults if "does not follow" in fault.text]
@@ -182,14 +182,14 @@ def test_only_a_speed_is_followed(command: bytes) -> None:
 
 def test_who_it_is_comes_as_a_reply() -> None:
     firmware = wire.Firmware(5, 3, "60", "00" * 12)
-    (reply,) = VescPipeline("drive", SETTINGS).feed(RX, packets.packet(wire.pack_firmware(firmware)), 1)
+    (reply,) = VescPipeline("drive", SETTINGS, {}).feed(RX, packets.packet(wire.pack_firmware(firmware)), 1)
     assert isinstance(reply, DeviceEvent)
     assert wire.parse_firmware(bytes.fromhex(reply.text)) == firmware
     assert reply.facts["firmware"] == "5.03"
 
 
 def test_an_answer_of_old_firmware_is_counted_not_guessed() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     out = pipeline.feed(RX, packets.packet(bytes([wire.GET_VALUES, *range(20)])), 1)
     assert samples(out) == []
     assert pipeline.losses["unreadable_answers"] == 1
@@ -197,7 +197,7 @@ def test_an_answer_of_old_firmware_is_counted_not_guessed() -> None:
 
 
 def test_damage_is_counted_and_the_rest_of_an_earlier_answer_is_not() -> None:
-    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline = VescPipeline("drive", SETTINGS, {})
     whole = answer(RUNNING)
     assert not events(pipeline.feed(RX, whole[20:] + whole, 1), "damage")
     (damage,) = events(pipeline.feed(RX, b"\xff" * 5 + whole, 2), "damage")
@@ -236,7 +236,7 @@ def same(one: list[Batch | DeviceEvent], other: list[Batch | DeviceEvent]) -> No
 
 @given(PIECES)
 def test_replay_gives_the_same(pieces: list[tuple[int, bytes]]) -> None:
-    live, again = VescPipeline("drive", SETTINGS), VescPipeline("drive", SETTINGS)
+    live, again = VescPipeline("drive", SETTINGS, {}), VescPipeline("drive", SETTINGS, {})
     for at, (direction, data) in enumerate(pieces):
         same(live.feed(direction, data, at), again.feed(direction, data, at))
     assert live.losses == again.losses
@@ -244,7 +244,7 @@ def test_replay_gives_the_same(pieces: list[tuple[int, bytes]]) -> None:
 
 @given(PIECES, st.integers(1, 9))
 def test_any_split_gives_the_same_samples_and_losses(pieces: list[tuple[int, bytes]], size: int) -> None:
-    whole, split = VescPipeline("drive", SETTINGS), VescPipeline("drive", SETTINGS)
+    whole, split = VescPipeline("drive", SETTINGS, {}), VescPipeline("drive", SETTINGS, {})
     one: list[Batch | DeviceEvent] = []
     other: list[Batch | DeviceEvent] = []
     for direction, data in pieces:
@@ -260,7 +260,7 @@ def test_any_split_gives_the_same_samples_and_losses(pieces: list[tuple[int, byt
 
 
 def test_columns_have_the_channels_types() -> None:
-    batch = VescPipeline("drive", SETTINGS).feed(RX, answer(RUNNING) * 2, 1)[-1]
+    batch = VescPipeline("drive", SETTINGS, {}).feed(RX, answer(RUNNING) * 2, 1)[-1]
     assert isinstance(batch, Batch)
     assert batch.sequence.dtype == batch.columns["statusword"].dtype == np.uint32
     assert batch.columns["speed_rpm"].dtype == batch.columns["target_rpm"].dtype == float

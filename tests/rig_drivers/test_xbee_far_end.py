@@ -122,8 +122,6 @@ def test_the_module_is_identified(kind: dict[str, Any]) -> None:
     bench.pass_time(0.2)
     identity = DRIVER.open("encoder", bench.config, bench)
     assert identity == {
-        "driver": "xbee",
-        "port": "-",
         "api_mode": bench.config.api_mode,
         "firmware": "100A",
         "hardware": "2E48",
@@ -159,7 +157,7 @@ def test_the_hosts_own_address_is_refused() -> None:
 def test_what_a_module_does_not_know_is_left_out() -> None:
     bench = Bench(settings())
     bench.far._registers = {"AP": b"\x02"}
-    known = {"driver": "xbee", "port": "-", "api_mode": 2, "rssi_dBm": -58}
+    known = {"api_mode": 2, "rssi_dBm": -58}
     assert DRIVER.open("encoder", bench.config, bench) == known
 
 
@@ -206,7 +204,7 @@ def test_samples_are_the_nodes(kind: dict[str, Any]) -> None:
     assert np.all(np.abs(bench.column("pendulums", "theta3_rad")) < 2 * tick)
     assert np.all(np.abs(bench.column("pendulums", "theta4_rad") - np.pi) < 2 * tick)
     assert len(bench.column("tacho", "revolutions")) >= 7
-    assert bench.pipeline.status is not None
+    assert bench.pipeline.node_status is not None
     assert not any(bench.pipeline.losses.values())
 
 

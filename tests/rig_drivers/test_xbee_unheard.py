@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from daq.drivers.contract import DescribesItself, NoticesLostSetUp
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError
 from daq.items import RX, TX
@@ -24,8 +23,7 @@ def heard(*frames: bytes, into: XBeePipeline | None = None) -> str:
     made = into or pipeline()
     for i, frame in enumerate(frames):
         made.feed(RX, frame, START_NS + 20 * MS * i)
-    assert isinstance(made, DescribesItself)
-    return made.complaint
+    return made.status.complaint
 
 
 def test_the_complaint_names_the_address_from_which_a_node_sends() -> None:
@@ -61,25 +59,24 @@ def transparent(seconds: float, start_ns: int) -> Iterator[tuple[bytes, int]]:
 
 def test_a_module_that_restarts_in_another_mode_is_recognised_until_it_answers() -> None:
     line = pipeline()
-    assert isinstance(line, NoticesLostSetUp)
     line.feed(RX, api(block(0)), START_NS)
     for data, host_ns in transparent(1.9, START_NS + 40 * MS):
         line.feed(RX, data, host_ns)
-        assert not line.set_up_lost
+        assert not line.status.set_up_lost
     for data, host_ns in transparent(1.0, START_NS + 2000 * MS):
         line.feed(RX, data, host_ns)
-    assert "no API frame for 2 s" in line.set_up_lost
+    assert "no API frame for 2 s" in line.status.set_up_lost
     line.feed(TX, module_frame("08 01 41 50"), START_NS + 3000 * MS)
-    assert line.set_up_lost, "a request alone does not show that the module is set up"
+    assert line.status.set_up_lost, "a request alone does not show that the module is set up"
     line.feed(RX, module_frame(ANSWER), START_NS + 3010 * MS)
-    assert not line.set_up_lost
+    assert not line.status.set_up_lost
 
 
 def test_a_silence_within_a_frame_is_no_other_mode() -> None:
     line, frame = pipeline(), api(block(0))
     for i, (data, after_ms) in enumerate([(frame, 0), (frame[:20], 0), (frame[20:40], 5000), (frame[40:], 5001)]):
         line.feed(RX, data, START_NS + (after_ms + i) * MS)
-        assert not line.set_up_lost
+        assert not line.status.set_up_lost
     assert line.losses["damaged_frames"] == 0
 
 
@@ -87,9 +84,9 @@ def test_a_short_burst_of_noise_is_no_other_mode() -> None:
     line = pipeline()
     line.feed(RX, bytes(5000), START_NS)
     line.feed(RX, bytes(5000), START_NS + 1999 * MS)
-    assert not line.set_up_lost
+    assert not line.status.set_up_lost
     line.feed(RX, bytes(1), START_NS + 2001 * MS)
-    assert line.set_up_lost
+    assert line.status.set_up_lost
 
 
 @pytest.mark.parametrize(("legacy", "advised"), [(False, True), (True, False)])

@@ -21,11 +21,12 @@ EXAMPLE = ROOT / "examples" / "rig_driver_tilt"
 
 TWINS = """
 from dataclasses import replace
+from functools import partial
 from daq.drivers.line_sensor import LinePipeline
-from rig_driver_tilt import COUNT, DRIVER, SAMPLE, UNIT_RAD, Reading, channel, parse
+from rig_driver_tilt import DRIVER, SAMPLE, SENSOR, UNIT_RAD, Reading, Tilt, parse
 
 def unchecked(line):
-    found = SAMPLE.match(line)
+    found = SAMPLE.match(line.decode("ascii", "replace"))
     if found is None:
         return parse(line)
     number, ms, x, y = map(int, found.groups())
@@ -37,12 +38,8 @@ class Forgetful(LinePipeline):
         self.losses["samples"] = 0
         return [item for item in out if getattr(item, "kind", "") != "gap"]
 
-def with_pipeline(kind, parse):
-    def pipeline(device, settings, identity):
-        return kind(device, channel(settings), COUNT, parse, settings.clock_tolerance_ppm, identity)
-    return replace(DRIVER, pipeline=pipeline)
-
-UNCHECKED, FORGETFUL = with_pipeline(LinePipeline, unchecked), with_pipeline(Forgetful, parse)
+UNCHECKED = replace(SENSOR, parse=unchecked).driver("tilt", Tilt, claims=DRIVER.claims)
+FORGETFUL = replace(DRIVER, pipeline=partial(Forgetful, SENSOR))
 """
 
 RECORD = """

@@ -11,6 +11,7 @@ import pytest
 
 import rig_testing
 from daq.channels import Channel
+from daq.drivers.contract import Pipeline
 from daq.drivers.driver import Driver
 from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.items import TX, Batch, DeviceEvent
@@ -30,12 +31,12 @@ class Thermometer(DeviceSettings):
         return (OtherQuantity(device=device, topic="temperature", fields=("temperature_degC",)),)
 
 
-class Readings:
+class Readings(Pipeline):
     """Lines to readings. Without a clock a sample has the time of its arrival."""
 
     def __init__(self, device: str, channel: Channel) -> None:
-        self.losses = {"damaged_lines": 0}
-        self._device, self._channel = device, channel
+        super().__init__(device, "damaged_lines")
+        self._channel = channel
         self._rest, self._heard, self._count = b"", False, 0
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:

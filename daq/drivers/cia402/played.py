@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from daq.drivers.can_lines import PlayedOnBus
 from daq.drivers.canopen import cia301
@@ -25,11 +26,12 @@ class PlayedDrive(PlayedOnBus):
 
     Args:
         config: table of the drive in the rig file.
+        identity: of the drive; it is not needed.
     """
 
     expects = "the network's start"
 
-    def __init__(self, config: MotorDrive) -> None:
+    def __init__(self, config: MotorDrive, identity: Mapping[str, Any]) -> None:
         super().__init__({cia301.cob_heartbeat(config.host_node_id)})
         self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
         self._nmt = NmtState(config.node_id)

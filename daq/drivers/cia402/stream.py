@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
@@ -21,7 +22,7 @@ from rig_basics.texts import number_of
 _AGAIN_NS = 1_000_000_000
 
 
-class DrivePipeline:
+class DrivePipeline(Pipeline):
     """Decoder of frames to the drive's speed, state and emergencies. A drive has no clock: samples get host time.
 
     The target speed is in the frames that the host sends, or, in a session that only receives, among the received
@@ -31,17 +32,14 @@ class DrivePipeline:
         losses: see Pipeline.
         frames: frames of the last `feed`, for the host's own CANopen client.
         host_beats: heartbeats under the host's number.
-        has_reported, complaint: see DescribesItself; the length of the reports shows the drive's mapping.
     """
 
-    has_reported = True
-
-    def __init__(self, device: str, config: MotorDrive) -> None:
-        self.losses: dict[str, int] = {}
+    def __init__(self, device: str, config: MotorDrive, identity: Mapping[str, Any]) -> None:
+        super().__init__(device)
         self._lines = CanLines(device, self.losses)
         self.frames: list[CanFrame] = []
-        self.complaint: str = ""
-        self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
+        self._complaint = ""  # about the mapping, which the length of the reports shows
+        self._node, self._host_node = config.node_id, config.host_node_id
         self._profile = profile_of(config)
         self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
@@ -49,6 +47,11 @@ class DrivePipeline:
         self._status: int | None = None
         self._network: cia301.Heartbeat | None = None
         self._contact = FirstContact()
+
+    @property
+    def status(self) -> PipelineStatus:
+        """See Pipeline."""
+        return PipelineStatus(complaint=self._complaint)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -70,7 +73,7 @@ class DrivePipeline:
                 self._contact.heard()
                 if len(frame.data) >= self._profile.size:
                     rows.append((*self._profile.unpack(frame.data), self._target_rpm))
-                elif not self.complaint:
+                elif not self._complaint:
                     out.append(self._short(frame))
                 continue
             self._take_target(frame)
@@ -101,11 +104,11 @@ class DrivePipeline:
 
     def _short(self, frame: CanFrame) -> DeviceEvent:
         """Return the event about a report that is too short for statusword and speed; reported once."""
-        self.complaint = (
+        self._complaint = (
             f"its reports (TPDO1) have {number_of(len(frame.data), 'byte')}; statusword and actual speed are "
             f"{self._profile.size}. Look at the drive's mapping (1A00h)"
         )
-        return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
+        return DeviceEvent("mapping", self._device, self._complaint, {"bytes": len(frame.data)})
 
     def _take_target(self, frame: CanFrame) -> None:
         if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == self._profile.size:

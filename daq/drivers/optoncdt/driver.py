@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import Pipeline, SpeedControl, Talk
+from daq.drivers.contract import SpeedControl, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.plain import displacement_channels, displacement_clocks
 from daq.items import DeviceEvent
 from rig_basics.texts import number_of
-
-
-def _pipeline(device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
-    from daq.drivers.optoncdt.stream import LaserPipeline
-
-    (channel,) = displacement_channels(settings)
-    return LaserPipeline(device, settings, channel, identity)
 
 
 def _checks(settings: Laser, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
@@ -51,7 +44,7 @@ DRIVER = Driver(
     usual=({}, *({"baud": baud} for baud in (691_200, 115_200, 230_400, 460_800, 1_000_000))),
     channels=displacement_channels,
     clocks=partial(displacement_clocks, 2**18),
-    pipeline=_pipeline,
+    pipeline=_part("stream:LaserPipeline"),
     far_end=_part("far_end:SimulatedLaser.of"),
     played=_part("played:PlayedLaser"),
     checks=_checks,

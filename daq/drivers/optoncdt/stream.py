@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, steps_from
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.drivers.displacement import range_of
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.set_up_watch import SetUpWatch
@@ -20,7 +21,7 @@ from daq.drivers.optoncdt.true_rows import Rows, SampleTimes, TrueRows
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent, lost_samples
+from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
@@ -43,24 +44,21 @@ _SHORT_TIMESTAMP = (
 Items = list[Batch | DeviceEvent]
 
 
-class LaserPipeline:
+class LaserPipeline(Pipeline):
     """Decoder of optoNCDT bytes to displacement of the disk centre, with counted gaps.
 
     Attributes:
         error_codes: number of samples so far with each error code in place of a distance, of the first 32 codes.
-        has_reported: see DescribesItself.
 
     Raises:
         DeviceError: range, scaling or words of the identity are invalid.
     """
 
-    def __init__(self, device: str, config: Laser, channel: channels.Channel, identity: Mapping[str, Any]) -> None:
-        kinds = ("samples", "bytes", "damaged", "invalid", "suspect", "unusable")
-        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+    def __init__(self, device: str, config: Laser, identity: Mapping[str, Any]) -> None:
+        super().__init__(device, "samples", "bytes", "damaged", "invalid", "suspect", "unusable")
         self.error_codes: dict[int, int] = {}
-        self.has_reported: bool = True
         self._may_be_short = distance_words.model_of(str(identity.get("name", ""))) in distance_words.SHORT_TIMESTAMP
-        self._device, self._channel = device, channel
+        self._channel = channels.displacement_channel(config.topic)
         self._range_m = range_of(device, config, identity)
         usual = config.scaling or distance_words.USUAL_SCALING  # of a sensor that was not queried
         self._scaling = _scaling(device, identity.get("scaling", usual))
@@ -71,7 +69,6 @@ class LaserPipeline:
         self._trial: WordsTrial | None = None
         self._reported_lines = 0  # lines already reported that the decoder has not reached yet
         self._unusable_reported = False
-        self._tolerance_ppm = config.clock_tolerance_ppm
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._before_first = 0  # bytes skipped before the first block
@@ -83,36 +80,24 @@ class LaserPipeline:
         self._damaged = 0  # samples that were reported as damaged
         self._reported_period = self._nominal_ticks
         self._set_up = SetUpWatch()
-        self._restart()
-        self._clock = ClockMap(self._tolerance_ppm, ClockSeed.of(identity))
+        self._clock = ClockMap(config.clock_tolerance_ppm, ClockSeed.of(identity))
+        self._place: int | None = None  # of the newest sample
+        self._spikes = SpikeWatch(self._scaling.most)
 
     @property
-    def complaint(self) -> str:
-        """See DescribesItself: why there is no sample yet from a model whose timestamp may be one value."""
-        return _SHORT_TIMESTAMP.format(device=self._device) if self._may_be_short and not self._joined else ""
-
-    @property
-    def set_up_lost(self) -> str:
-        """See NoticesLostSetUp."""
-        return self._set_up.lost
-
-    @set_up_lost.setter
-    def set_up_lost(self, sign: str) -> None:
-        self._set_up.lost = sign
-
-    @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
-
-    @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
-        return self._clock.seed(optoncdt.TIMESTAMP_WRAP * _TICK_NS)
+    def status(self) -> PipelineStatus:
+        """See Pipeline. There may be no sample yet because the model's timestamp is one value."""
+        complaint = _SHORT_TIMESTAMP.format(device=self._device) if self._may_be_short and not self._joined else ""
+        return PipelineStatus(
+            complaint=complaint,
+            set_up_lost=self._set_up.lost,
+            clock_seed=self._clock.seed(optoncdt.TIMESTAMP_WRAP * _TICK_NS),
+            clock_std_ns=self._clock.std_ns,
+        )
 
     def _restart(self) -> None:
-        self._clock = ClockMap(self._tolerance_ppm)
-        self._place: int | None = None  # of the newest sample
+        self._clock.restart()
+        self._place = None
         self._spikes = SpikeWatch(self._scaling.most)
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
@@ -137,9 +122,7 @@ class LaserPipeline:
         if not self._joined:
             skipped += self._counted_before_first(found.skipped_first, out) - found.skipped_first
         if skipped:
-            self.losses["bytes"] += skipped
-            text = f"{number_of(skipped, 'byte')} skipped to find the next block"
-            out.append(DeviceEvent("damage", self._device, text, {"bytes": skipped}))
+            out.append(self.skipped_bytes(skipped, "block"))
         if len(found.values):
             self._joined = True
             self._rows(found.values, host_ns, out)
@@ -300,10 +283,9 @@ class LaserPipeline:
         out: Items = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
-            self.losses["samples"] += lost
             period_s = self._true.period_ticks * optoncdt.TICK_S
             facts = {"time_ns": int(time_ns[i]), "device_ticks": int(ticks[i])}
-            out.append(lost_samples(self._device, lost, lost * period_s, **facts))
+            out.append(self.lost_samples(lost, lost * period_s, **facts))
         return out
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
+from daq.drivers.rotorlink.settings import EncoderNode
 
 
 class PlayedNode(PlayedDevice):
-    """The on-rotor node. It sends without a command; commands are neither carried out nor acknowledged."""
+    """The on-rotor node. It sends without a command; commands are neither carried out nor acknowledged.
 
-    def __init__(self) -> None:
+    Args:
+        settings, identity: of the node; they are not needed.
+    """
+
+    def __init__(self, settings: EncoderNode, identity: Mapping[str, Any]) -> None:
         super().__init__()
         self._frames = FrameDecoder()
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import Pipeline
+from daq.drivers.contract import Pipeline, SpeedControl
 from daq.drivers.rotorlink.stream import NodePipeline
+from daq.items import DeviceEvent
 from rig_configs.device import RotorNodeSettings
 
 _MIN_SIGNAL_DBM = -90
 
 
-def node_checks(settings: RotorNodeSettings, pipeline: Pipeline) -> Checks:
-    """Return the checks of the node's newest status and signal strength."""
+def node_checks(
+    settings: RotorNodeSettings, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+) -> Checks:
+    """Return the checks of the node's newest status and signal strength; see Driver.checks."""
     assert isinstance(pipeline, NodePipeline)
-    status, rssi_dBm = pipeline.status, pipeline.rssi_dBm
+    status, rssi_dBm = pipeline.node_status, pipeline.rssi_dBm
     out: Checks = {}
     if status is None:
         out["status"] = DeviceCheck(None, "each second", False, "the node's status did not arrive; look at its radio")

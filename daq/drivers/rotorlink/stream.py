@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
+from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.drivers.index_marks import MarkSequence
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
@@ -18,7 +19,7 @@ from daq.drivers.rotorlink.node_choice import NodeChoice
 from daq.drivers.rotorlink.node_clock import MAX_WAIT_NS, NodeClock, Step
 from daq.drivers.rotorlink.sender import Sender
 from daq.errors import DeviceError
-from daq.items import TX, Batch, DeviceEvent, loss_words, lost_samples
+from daq.items import TX, Batch, DeviceEvent, loss_words
 from daq.numbered.look_ahead import LookAhead, Run
 from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
@@ -30,7 +31,7 @@ _LOOK_AHEAD_NS = 1e9
 _MAX_STEP_BACK_US = 1_000_000  # a block that is older, and not marked as repeated, shows a restart of the node
 
 
-class NodePipeline:
+class NodePipeline(Pipeline):
     """Decoder of RotorLink bytes to pendulum angles, tachometer marks and lock events.
 
     Losses on air and on the cable are counted separately. Payloads are COBS runs on a serial line. A subclass for
@@ -38,27 +39,24 @@ class NodePipeline:
 
     Attributes:
         losses: see Pipeline.
-        status: newest status of the node; None before the first.
+        node_status: newest status that the node has sent; None before the first.
         rssi_dBm: signal strength of the newest frame, dBm; None if unknown.
         battery_low: whether the node reports a low battery.
-        heard_frames: see CountsFrames.
 
     Raises:
         DeviceError: the node's number in the identity is invalid.
     """
 
     def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
-        self.losses: dict[str, int] = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
-        self.status: rotorlink.NodeStatus | None = None
+        super().__init__(device, "radio_frames", "cable_frames", "damaged_frames", "samples")
+        self.node_status: rotorlink.NodeStatus | None = None
         self.rssi_dBm: int | None = None
         self.battery_low: bool = False
-        self.heard_frames: tuple[int, int] | None = None
-        self._device = device
+        self._heard_frames: tuple[int, int] | None = None  # numbers of the first and of the newest frame
         self._records_angles = config.angles
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._marks_phase = config.index_marks
-        self._tolerance_ppm = config.clock_tolerance_ppm
         self._decoder = FrameDecoder()
         self._cable_lost = 0  # frames lost on the cable since the last node frame; they may have contained node frames
         self._joined = False
@@ -67,43 +65,33 @@ class NodePipeline:
         self._choice = NodeChoice(device, config.node, _node_of(identity))
         self._contradiction = ""  # between the node's status and the rig file
         self._mark_sequence = MarkSequence(device, self.losses)
-        self._restart()
-        self._clock = ClockMap(self._tolerance_ppm, ClockSeed.of(identity))
+        self._clock = ClockMap(config.clock_tolerance_ppm, ClockSeed.of(identity))
+        self._begin()
 
     @property
-    def clock_std_ns(self) -> float:
-        """See StatesClockError."""
-        return self._clock.std_ns
-
-    @property
-    def clock_seed(self) -> ClockSeed | None:
-        """See HasClockSeed."""
-        return self._clock.seed(1000 * 2**32)
-
-    @property
-    def learned(self) -> dict[str, int]:
-        """See ObservesIdentity."""
-        return {} if self._choice.node is None else {"node": self._choice.node}
-
-    @property
-    def complaint(self) -> str:
-        """See DescribesItself."""
-        return self._choice.complaint or self._contradiction
+    def status(self) -> PipelineStatus:
+        """See Pipeline."""
+        return PipelineStatus(
+            self.node_status is not None,
+            self._choice.complaint or self._contradiction,
+            clock_seed=self._clock.seed(1000 * _WRAP),
+            clock_std_ns=self._clock.std_ns,
+            learned={} if self._choice.node is None else {"node": self._choice.node},
+            heard_frames=self._heard_frames,
+        )
 
     def _restart(self) -> None:
+        self._clock.restart()
+        self._mark_sequence.restart()
+        self._begin()
+
+    def _begin(self) -> None:
         self._node = Sender()
-        self._clock = ClockMap(self._tolerance_ppm)
         self._next_index: int | None = None
         self._next_us = 0  # node time at which that sample is due
         self._ahead = LookAhead[list[rotorlink.EncoderBlock]](0.0, _LOOK_AHEAD_NS)
         self._own = NodeClock()
         self._held: list[tuple[rotorlink.IndexMark, int]] = []  # marks that wait for the next block, their host times
-        self._mark_sequence.restart()
-
-    @property
-    def has_reported(self) -> bool:
-        """See DescribesItself."""
-        return self.status is not None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -188,7 +176,7 @@ class NodePipeline:
         lost = max(0, place.lost - self._cable_lost)  # frames lost on the cable were not lost on air
         self._cable_lost = 0
         if not place.is_repeated:
-            self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
+            self._heard_frames = (frame.seq if self._heard_frames is None else self._heard_frames[0], frame.seq)
         self._count("radio_frames", lost, place.span_s, out)
         return [*out, *self._content(frame, host_ns)]
 
@@ -282,7 +270,7 @@ class NodePipeline:
 
     def _status_events(self, frame: rotorlink.NodeStatus) -> list[DeviceEvent]:
         """Keep the node's status; return its events, with a fault if it contradicts the rig file."""
-        self.status = frame
+        self.node_status = frame
         out: list[DeviceEvent] = []
         if frame.counts_per_revolution != self._counts_per_revolution:
             self._contradiction = (
@@ -305,7 +293,7 @@ class NodePipeline:
         before = self._choice.node
         out += self._choice.feed(frame)
         if before is not None and before != self._choice.node:  # what was counted was another node's
-            self.losses["radio_frames"], self.status, self.heard_frames, self._contradiction = 0, None, None, ""
+            self.losses["radio_frames"], self.node_status, self._heard_frames, self._contradiction = 0, None, None, ""
             self._restart()
         return frame.node == self._choice.node
 
@@ -369,8 +357,7 @@ class NodePipeline:
         if not self._records_angles:
             return out
         if missing:
-            self.losses["samples"] += missing
-            out.append(lost_samples(self._device, missing, missing * block.period_us * 1e-6, time_ns=int(time_ns[0])))
+            out.append(self.lost_samples(missing, missing * block.period_us * 1e-6, time_ns=int(time_ns[0])))
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
     def _step_before(self, block: rotorlink.EncoderBlock, first_us: int, missing: int, fresh: int) -> Step | None:

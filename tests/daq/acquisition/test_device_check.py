@@ -55,8 +55,8 @@ class Node:
 
     def checks(self) -> Checks:
         pipeline = NodePipeline("encoder", RIG.devices["encoder"], {})
-        pipeline.status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
-        return node_checks(RIG.devices["encoder"], pipeline)
+        pipeline.node_status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
+        return node_checks(RIG.devices["encoder"], pipeline, None, [])
 
 
 @dataclass(frozen=True)

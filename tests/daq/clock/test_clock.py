@@ -201,3 +201,13 @@ def test_a_short_record_adds_nothing_to_the_data_sheet() -> None:
     line = fit_line(np.array([0.0, 0.1, 0.2]), np.array([0.001, 0.1012, 0.2011]), tolerance_ppm=50.0)
     assert line.rate == 0.0
     assert line.rate_std == line.shared_std == pytest.approx(50e-6)
+
+
+def test_times_after_a_new_start_of_the_device_are_later_than_those_before() -> None:
+    """The last read before was early, as after a host's clock that was set back."""
+    clock, start_ns, ms = ClockMap(50.0), 1_700_000_000_000_000_000, 1_000_000
+    (last,) = clock.map(np.array([5000 * ms]), start_ns).tolist()
+    clock.restart()
+    assert clock.map(np.array([0, ms]), start_ns - 4 * ms).tolist() == [last + 1, last + 2]
+    assert clock.map(np.array([2 * ms]), start_ns - 3 * ms).tolist() == [last + 3]
+    assert clock.map(np.array([10 * ms]), start_ns + 5 * ms).tolist() == [start_ns + 5 * ms]

@@ -433,7 +433,8 @@ def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeyp
     announcement = labjack.announcement()
 
     def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Driver:
-        monkeypatch.setattr(identity, "ANNOUNCEMENT", replace(announcement, read=read, request_port=port))
+        changed = partial(replace, announcement, read=read, request_port=port)
+        monkeypatch.setattr(identity, "announcement", changed)
         return labjack
 
     (one,), request = asked(made, found_labjack, LABJACK_ANSWER, monkeypatch)

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from daq.channels import Channel
-from daq.drivers.line_sensor import Commands, LinePipeline, PlayedSensor, Reading, line_clock
+from daq.drivers.contract import Pipeline
+from daq.drivers.driver import Driver
+from daq.drivers.line_sensor import Commands, LineSensor, Motion, Reading
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.numbered.messages import Count
+from rig_configs.device import DeviceSettings
+from rig_configs.roles import Role
 
 PERIOD_NS = 10_000_000
 CHANNEL = Channel("weight", "test.Weight", (("force_N", "double"), ("count", "fixed32"), ("own_time", "fixed64")))
@@ -29,11 +33,42 @@ def lines(first: int, last: int) -> bytes:
     return b"".join(b"W %d %d %d\r\n" % (n % 100, n * 10 % 2**16, n) for n in range(first, last))
 
 
-def pipeline(count: Count) -> LinePipeline:
-    return LinePipeline("scale", CHANNEL, count, parse, 50.0, {}, longest=20)
+class Scale(DeviceSettings):
+    topic: str = "weight"
+    clock_tolerance_ppm: float = 20.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        return ()
 
 
-def fed(found: LinePipeline, data: bytes, last: int) -> tuple[list[Batch], list[DeviceEvent]]:
+SETTINGS = Scale.model_validate({"driver": "scale", "port": "p"})
+COMMANDS = Commands("GO", "HALT", "WHO", "I {serial}", {"serial": "7"})
+
+
+def channel(settings: Scale) -> Channel:
+    return CHANNEL
+
+
+def encode(text: str) -> bytes:
+    return f"{text}\r\n".encode()
+
+
+def simulated(settings: Scale, numbers: Any, motion: Motion) -> bytes:
+    return b"".join(lines(n, n + 1) for n in numbers)
+
+
+def scale(count: Count = CLOCKED, commands: Commands = COMMANDS) -> Driver:
+    kind = LineSensor(
+        channel=channel, count=count, encode=encode, parse=parse, lines=simulated, commands=commands, longest=20
+    )
+    return kind.driver("scale", Scale)
+
+
+def pipeline(count: Count) -> Pipeline:
+    return scale(count).pipeline("scale", SETTINGS, {})
+
+
+def fed(found: Pipeline, data: bytes, last: int) -> tuple[list[Batch], list[DeviceEvent]]:
     items = found.feed(RX, data, (last + 1) * PERIOD_NS)
     return [i for i in items if isinstance(i, Batch)], [i for i in items if isinstance(i, DeviceEvent)]
 
@@ -78,24 +113,21 @@ def test_after_a_new_start_the_times_go_on() -> None:
         kinds += [e.kind for e in events]
     assert "restart" in kinds
     assert np.all(np.diff(np.concatenate(times)) > 0)
-    assert found.clock_seed is not None
-    assert found.clock_std_ns > 0
+    assert found.status.clock_seed is not None
+    assert found.status.clock_std_ns > 0
 
 
 def test_its_clock_is_that_of_the_count() -> None:
-    class Table:
-        topic, clock_tolerance_ppm = "weight", 20.0
-
-    (clock,) = line_clock(CLOCKED, "own_time", Table())
+    (clock,) = scale().clocks(SETTINGS)
     assert (clock.rate_Hz, clock.tick_ns, clock.count_wrap, clock.field) == (100.0, 1_000_000, 100, "own_time")
-    assert line_clock(COUNTED, "own_time", Table())[0].tick_ns == PERIOD_NS
+    assert scale(COUNTED).clocks(SETTINGS)[0].tick_ns == PERIOD_NS
 
 
 def test_the_stand_in_answers_and_sends_after_its_command() -> None:
-    played = PlayedSensor(Commands(b"GO", b"HALT", {b"WHO": b"I 7\r\n"}))
+    played = scale().played(SETTINGS, {"serial": "12", "port": "p"})
     assert played.expects == "GO"
     assert played.hear(b"WH") == b""
-    assert played.hear(b"O\nHA") == b"I 7\r\n"
+    assert played.hear(b"O\nHA") == b"I 12\r\n"
     assert not played.sending
     played.hear(b"LT\nGO\n")
     assert played.sending
@@ -103,4 +135,10 @@ def test_the_stand_in_answers_and_sends_after_its_command() -> None:
     played.hear(b"HALT\n")
     played.begin()
     assert played.sending
-    assert PlayedSensor(Commands()).sending
+    assert scale(commands=Commands()).played(SETTINGS, {}).sending
+
+
+def test_the_words_of_an_answer_are_the_identity() -> None:
+    commands = Commands(answer="I {model} (no. {serial})")
+    assert commands.identity_in("I tilt-2 (no. 47)") == {"model": "tilt-2", "serial": "47"}
+    assert commands.identity_in("I tilt-2 (no. 47) x") is None

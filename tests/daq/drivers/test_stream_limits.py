@@ -13,7 +13,6 @@ from daq import channels
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.contract import DescribesItself
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
@@ -56,7 +55,7 @@ def drive_line(identifier: int, data: bytes) -> bytes:
 
 
 def test_a_report_has_the_target_that_was_sent_or_seen_before_it() -> None:
-    pipeline = DrivePipeline("drive", DRIVE)
+    pipeline = DrivePipeline("drive", DRIVE, {})
     report = drive_line(cia301.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(0x0637, -123))
 
     def target(rpm: int) -> bytes:
@@ -76,7 +75,7 @@ def test_a_report_has_the_target_that_was_sent_or_seen_before_it() -> None:
 
 
 def test_a_state_is_reported_when_it_changes() -> None:
-    pipeline = DrivePipeline("drive", DRIVE)
+    pipeline = DrivePipeline("drive", DRIVE, {})
     words = (0x0637, 0x0237, 0x0637, 0x0633, 0x0608, 0x0608)
     data = b"".join(drive_line(cia301.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(word, 0)) for word in words)
     found = events(pipeline.feed(RX, data, START_NS))
@@ -90,15 +89,16 @@ def test_a_state_is_reported_when_it_changes() -> None:
 
 def test_a_drive_without_reports_has_described_itself() -> None:
     """The length of a report alone can contradict the rig file."""
-    pipeline = DrivePipeline("drive", DRIVE)
-    assert isinstance(pipeline, DescribesItself)
-    assert (pipeline.has_reported, pipeline.complaint) == (True, "")
+    pipeline = DrivePipeline("drive", DRIVE, {})
+    assert (pipeline.status.has_reported, pipeline.status.complaint) == (True, "")
 
 
 @pytest.mark.parametrize("count", [7, 8])
 def test_an_emergency_has_eight_bytes(count: int) -> None:
     identifier = cia301.cob_emergency(DRIVE.node_id)
-    found = DrivePipeline("drive", DRIVE).feed(RX, drive_line(identifier, bytes.fromhex("3081010000000000")[:count]), 0)
+    found = DrivePipeline("drive", DRIVE, {}).feed(
+        RX, drive_line(identifier, bytes.fromhex("3081010000000000")[:count]), 0
+    )
     assert [event.text for event in events(found)] == ["drive error 0x8130"] * (count == 8)
 
 
@@ -131,7 +131,7 @@ def test_states_by_the_status_byte(status: int, text: str) -> None:
 
 @pytest.mark.parametrize(("count", "lost"), [(84, 0), (85, 1)])
 def test_the_rest_of_an_earlier_answer_has_at_most_84_bytes(count: int, lost: int) -> None:
-    pipeline = VescPipeline("drive", MOTOR)
+    pipeline = VescPipeline("drive", MOTOR, {})
     found = pipeline.feed(RX, b"\x55" * count + answer(TURNS), 0)
     assert pipeline.losses["damaged_bytes"] == lost
     assert [event.facts for event in events(found, "damage")] == [{"bytes": 1}] * lost
@@ -152,7 +152,7 @@ def test_a_rotor_follows_within_a_fifth_and_30_rpm_for_five_reports(
     target_rpm: int, speed_rpm: int, follows: bool
 ) -> None:
     """0.1 s at 50 reports a second."""
-    pipeline = VescPipeline("drive", MOTOR)
+    pipeline = VescPipeline("drive", MOTOR, {})
     pipeline.feed(TX, vesc.set_rpm(7 * target_rpm), 0)
     report = answer(replace(TURNS, erpm=7 * speed_rpm))
     found = [events(pipeline.feed(RX, report, 0), "fault") for _ in range(10)]
@@ -162,13 +162,13 @@ def test_a_rotor_follows_within_a_fifth_and_30_rpm_for_five_reports(
 
 
 def test_a_short_time_to_follow_is_three_reports() -> None:
-    pipeline = VescPipeline("drive", MOTOR.model_copy(update={"follow_s": 0.001}))
+    pipeline = VescPipeline("drive", MOTOR.model_copy(update={"follow_s": 0.001}), {})
     pipeline.feed(TX, vesc.set_rpm(7000), 0)
     assert [len(events(pipeline.feed(RX, answer(TURNS), 0), "fault")) for _ in range(5)] == [0, 0, 1, 0, 0]
 
 
 def test_a_set_point_counts_only_for_the_command_of_a_speed() -> None:
-    pipeline = VescPipeline("drive", MOTOR)
+    pipeline = VescPipeline("drive", MOTOR, {})
     targets: list[float] = []
     for command in (vesc.set_rpm(2800), vesc.set_brake(2.8), vesc.set_rpm(-1400), vesc.release()):
         pipeline.feed(TX, command, 0)
@@ -177,7 +177,7 @@ def test_a_set_point_counts_only_for_the_command_of_a_speed() -> None:
 
 
 def test_every_change_of_the_state_is_an_event() -> None:
-    pipeline = VescPipeline("drive", MOTOR)
+    pipeline = VescPipeline("drive", MOTOR, {})
     texts: list[str] = []
     for command in (vesc.set_rpm(2100), vesc.set_brake(2.8), vesc.set_brake(2.9), vesc.set_rpm(2100)):
         pipeline.feed(TX, command, 0)
@@ -186,7 +186,7 @@ def test_every_change_of_the_state_is_an_event() -> None:
 
 
 def test_missing_answers_are_counted_before_the_next_one() -> None:
-    pipeline = VescPipeline("drive", MOTOR)
+    pipeline = VescPipeline("drive", MOTOR, {})
     for _ in range(4):
         pipeline.feed(TX, vesc.get_values(), 0)
     (gap,) = events(pipeline.feed(RX, answer(TURNS), 0), "gap")
@@ -201,10 +201,10 @@ def test_missing_answers_are_counted_before_the_next_one() -> None:
 
 def test_an_identity_has_its_version_with_two_digits() -> None:
     firmware = vesc.Firmware(6, 5, "60", bytes(range(12)).hex())
-    (event,) = VescPipeline("drive", MOTOR).feed(RX, packets.packet(vesc.pack_firmware(firmware)), 0)
+    (event,) = VescPipeline("drive", MOTOR, {}).feed(RX, packets.packet(vesc.pack_firmware(firmware)), 0)
     assert isinstance(event, DeviceEvent)
     assert event.facts == {"firmware": "6.05", "hardware": "60", "serial": "000102030405060708090a0b"}
-    (event,) = VescPipeline("drive", MOTOR).feed(RX, packets.packet(bytes([0, 3])), 0)
+    (event,) = VescPipeline("drive", MOTOR, {}).feed(RX, packets.packet(bytes([0, 3])), 0)
     assert isinstance(event, DeviceEvent)
     assert (event.kind, event.text, event.facts) == ("reply", "0003", {})
 
@@ -248,7 +248,7 @@ def test_samples_of_a_block_have_angles_indices_and_times() -> None:
 @pytest.mark.parametrize("number", [0, 255])
 def test_a_node_s_number_is_a_byte(number: int) -> None:
     pipeline = node(node=number)
-    assert pipeline.learned == {"node": number}
+    assert pipeline.status.learned == {"node": number}
     assert values(fed(pipeline, block(node=number)), "index") == list(range(10))
     for wrong in (-1, 256, True, "1", 1.0):
         with pytest.raises(DeviceError, match="a node's number, 0 to 255"):
@@ -258,7 +258,7 @@ def test_a_node_s_number_is_a_byte(number: int) -> None:
 def test_a_status_has_its_values_in_their_units() -> None:
     status = rotorlink.NodeStatus(1, 0, 5000, 3712, -315, 8, 2, 1, 4, 4096)
     pipeline = node()
-    assert not pipeline.has_reported
+    assert not pipeline.status.has_reported
     (event,) = events(fed(pipeline, rotorlink.wire(status.pack())))
     assert (event.kind, event.text) == ("status", "battery 3712 mV")
     assert event.facts == {
@@ -268,8 +268,8 @@ def test_a_status_has_its_values_in_their_units() -> None:
         "counts_per_revolution": 4096,
         "temperature_degC": -31.5,
     }
-    assert pipeline.has_reported
-    assert pipeline.complaint == ""
+    assert pipeline.status.has_reported
+    assert pipeline.status.complaint == ""
 
 
 @pytest.mark.parametrize(
@@ -312,9 +312,9 @@ def test_only_the_first_damage_of_a_log_is_the_rest_of_a_frame() -> None:
 
 def test_a_seed_of_the_node_s_clock_wraps_after_32_bits_of_microseconds() -> None:
     pipeline = node()
-    assert pipeline.clock_seed is None
+    assert pipeline.status.clock_seed is None
     fed(pipeline, block(0))
-    seed = pipeline.clock_seed
+    seed = pipeline.status.clock_seed
     assert seed is not None
     assert (seed.wrap_ns, seed.device_ns, seed.host_ns) == (2**32 * 1000, 9 * MS, START_NS)
 
@@ -324,7 +324,7 @@ def test_a_seed_of_the_node_s_clock_wraps_after_32_bits_of_microseconds() -> Non
 
 def rf60x(rate_Hz: float = 1000.0, **other: Any) -> RiftekPipeline:
     settings = RiftekLaser(driver="riftek", port="-", axis="x", rate_Hz=rate_Hz, **other)
-    return RiftekPipeline("laser_x", settings, channels.LASER_X, {})
+    return RiftekPipeline("laser_x", settings, {})
 
 
 def test_columns_of_results() -> None:
@@ -383,18 +383,18 @@ def test_false_results_are_counted_and_reported(spikes: list[int], text: str) ->
 def test_a_range_is_a_positive_number(range_m: object) -> None:
     settings = RiftekLaser(driver="riftek", port="-", axis="x", rate_Hz=1000.0)
     with pytest.raises(DeviceError, match="range_m"):
-        RiftekPipeline("laser_x", settings, channels.LASER_X, {"range_m": range_m})
+        RiftekPipeline("laser_x", settings, {"range_m": range_m})
     with pytest.raises(DeviceError, match="range_m"):
-        LaserPipeline("laser_x", DEVICES["laser_x"], channels.LASER_X, {"range_m": range_m})
+        LaserPipeline("laser_x", DEVICES["laser_x"], {"range_m": range_m})
     for number in (1, 1e-3):
-        RiftekPipeline("laser_x", settings, channels.LASER_X, {"range_m": number})
+        RiftekPipeline("laser_x", settings, {"range_m": number})
 
 
 # --- optoNCDT --------------------------------------------------------------------------------------------------
 
 
 def laser(**identity: Any) -> LaserPipeline:
-    return LaserPipeline("laser_x", DEVICES["laser_x"], channels.LASER_X, identity)
+    return LaserPipeline("laser_x", DEVICES["laser_x"], identity)
 
 
 def laser_bytes(counters: np.ndarray, ticks: np.ndarray) -> bytes:
@@ -452,10 +452,10 @@ def test_a_rate_that_deviates_by_two_thousandths_is_reported(deviation: float, r
 
 def test_a_seed_of_the_laser_s_clock_wraps_with_its_timestamp() -> None:
     pipeline = laser()
-    assert pipeline.clock_seed is None
+    assert pipeline.status.clock_seed is None
     counters = np.arange(1, 6)
     pipeline.feed(RX, laser_bytes(counters, 25 * counters), START_NS)
-    seed = pipeline.clock_seed
+    seed = pipeline.status.clock_seed
     assert seed is not None
     assert (seed.wrap_ns, seed.device_ns, seed.host_ns) == (42_949_672_960_000, 125 * 10_000, START_NS)
 
@@ -504,12 +504,12 @@ def test_bytes_skipped_within_a_stream_are_counted_and_those_before_it_are_not()
     pipeline = laser()
     assert events(pipeline.feed(RX, b"\xff\xff" + data, START_NS)) == []
     (event,) = events(pipeline.feed(RX, b"\xff" + laser_bytes(counters + 5, 25 * (counters + 5)), START_NS + MS))
-    assert (event.kind, event.facts, event.text) == ("damage", {"bytes": 1}, "1 byte skipped to find the next block")
+    assert (event.kind, event.facts, event.text) == ("damage", {"bytes": 1}, "1 byte skipped that belongs to no block")
     assert pipeline.losses["bytes"] == 1
 
 
 @pytest.mark.parametrize(
-    "make", [laser, node, rf60x, lambda: VescPipeline("d", MOTOR), lambda: DrivePipeline("d", DRIVE)]
+    "make", [laser, node, rf60x, lambda: VescPipeline("d", MOTOR, {}), lambda: DrivePipeline("d", DRIVE, {})]
 )
 def test_no_pipeline_begins_with_losses(make: Any) -> None:
     assert set(make().losses.values()) == {0}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from daq import channels
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
@@ -48,7 +47,7 @@ def feed_on(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple
 
 
 def laser() -> LaserPipeline:
-    return LaserPipeline("laser_x", DEVICES["laser_x"], channels.LASER_X, {})
+    return LaserPipeline("laser_x", DEVICES["laser_x"], {})
 
 
 @given(st.lists(st.integers(2, 80), min_size=1, max_size=8), st.lists(st.integers(0, 50), min_size=8, max_size=8))
@@ -352,7 +351,7 @@ def test_only_one_node_is_listened_to() -> None:
     assert [event.text for event in events] == [
         "the node's number is 7",
         "frames of node 2 ignored: this rig's is node 7",
-        pipeline.complaint,
+        pipeline.status.complaint,
     ]
     config = DEVICES["encoder"].model_copy(update={"node": 2})
     chosen = NodePipeline("encoder", config, {})
@@ -362,14 +361,14 @@ def test_only_one_node_is_listened_to() -> None:
 
 def test_the_node_of_one_log_is_that_of_the_next_independent_of_the_first_frame() -> None:
     first, *_ = decoded(blocks_from(0.0, 10, node=7))
-    again = NodePipeline("encoder", DEVICES["encoder"], json.loads(json.dumps(first.learned)))
+    again = NodePipeline("encoder", DEVICES["encoder"], json.loads(json.dumps(first.status.learned)))
     neighbour, ours = blocks_from(1.0, 1, node=2), blocks_from(1.0, 10, 10, 200, node=7)
     batches, events = feed(again, [frame for _, frame in neighbour + ours])
     assert sum(len(batch.time_ns) for batch in batches) == 200
     ignored = "frames of node 2 ignored: this rig's is node 7"
-    assert [event.text for event in events] == [ignored, again.complaint]
-    chosen = NodePipeline("encoder", DEVICES["encoder"].model_copy(update={"node": 2}), first.learned)
-    assert chosen.learned == {"node": 2}  # the rig file decides
+    assert [event.text for event in events] == [ignored, again.status.complaint]
+    chosen = NodePipeline("encoder", DEVICES["encoder"].model_copy(update={"node": 2}), first.status.learned or {})
+    assert chosen.status.learned == {"node": 2}  # the rig file decides
 
 
 @settings(max_examples=cases(40, 200))
@@ -419,7 +418,7 @@ def test_losses_of_air_and_cable_are_counted_separately() -> None:
 
 def heard(*frames: tuple[int, bytes]) -> list[DeviceEvent]:
     """Events of a drive that sends these frames, each in a read of its own."""
-    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    pipeline = DrivePipeline("drive", DEVICES["drive"], {})
     found: list[Batch | DeviceEvent] = []
     for number, (identifier, data) in enumerate(frames):
         found += pipeline.feed(RX, encode(CanFrame(identifier, data)), START_NS + number)
@@ -445,7 +444,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     """29-bit frames and remote requests whose numbers look like those of the drive."""
     node = DEVICES["drive"].node_id
     report = cia402.pack_tpdo1(0x0627, 600)
-    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    pipeline = DrivePipeline("drive", DEVICES["drive"], {})
     others = [
         CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
         CanFrame(cia301.cob_tpdo(1, node), bytes(4), remote=True),
@@ -468,13 +467,13 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
 
 def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
     identifier = cia301.cob_tpdo(1, DEVICES["drive"].node_id)
-    pipeline = DrivePipeline("drive", DEVICES["drive"])
+    pipeline = DrivePipeline("drive", DEVICES["drive"], {})
     items = []
     for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
         items += pipeline.feed(RX, encode(CanFrame(identifier, data)), START_NS)
     assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
     assert [x.kind for x in items if isinstance(x, DeviceEvent)] == ["drive", "mapping"]
-    assert "have 2 bytes" in pipeline.complaint
+    assert "have 2 bytes" in pipeline.status.complaint
 
 
 def test_an_emergency_keeps_its_makers_bytes() -> None:

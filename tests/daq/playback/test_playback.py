@@ -118,7 +118,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 ) -> None:
     """Any order of frames, any cut into reads, and any cut at the listener."""
     drive = load_rig("virtual").devices["drive"]
-    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays({0x701})
+    live, listener, played = DrivePipeline("drive", drive, {}), DrivePipeline("drive", drive, {}), BothWays({0x701})
     speeds: list[list[Batch]] = [[], []]
     bus = pending = b""
     cut = iter(cuts * 40)

@@ -181,7 +181,7 @@ def test_an_identity_no_sensor_has_is_refused(identity: dict, words: str) -> Non
 
 
 def test_a_node_lets_commands_pass_and_counts_them() -> None:
-    node = PlayedNode()
+    node = PlayedNode(RIG.devices["encoder"], {})
     frame = rotorlink.wire(rotorlink.NodeCommand(1, 7, rotorlink.ACTIONS["release both"]).pack())
     assert node.hear(frame[:3]) == b""
     assert node.hear(frame[3:] + frame + b"noise") == b""
@@ -209,7 +209,7 @@ def report(status: int, rpm: int) -> bytes:
 
 
 def test_our_own_control_starts_and_stops_a_played_drive() -> None:
-    drive = PlayedDrive(RIG.devices["drive"])
+    drive = PlayedDrive(RIG.devices["drive"], {})
     bus = Bus(drive)
     assert drive.play(RX, report(0x237, 100)) == b""
     bus.control.start()
@@ -226,7 +226,7 @@ def test_our_own_control_starts_and_stops_a_played_drive() -> None:
 
 
 def test_it_reports_the_newest_values_of_the_log() -> None:
-    drive = PlayedDrive(RIG.devices["drive"])
+    drive = PlayedDrive(RIG.devices["drive"], {})
     bus = Bus(drive)
     bus.control.start()
     line = report(0x237, -300)
@@ -249,7 +249,7 @@ def test_it_reports_the_newest_values_of_the_log() -> None:
 
 
 def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
-    drive = PlayedDrive(RIG.devices["drive"])
+    drive = PlayedDrive(RIG.devices["drive"], {})
     drive.hear(tx(b"O\rt00020105\r"))
     line = report(0x237, 300)
     request = encode(CanFrame(cia301.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
@@ -261,7 +261,12 @@ def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
 
 @given(st.lists(st.binary(max_size=60), max_size=10))
 def test_any_bytes_of_a_host_are_handled(pieces: list[bytes]) -> None:
-    for device in (PlayedLaser(LASER, IDENTITY), PlayedNode(), PlayedDrive(RIG.devices["drive"]), PlayedDevice()):
+    for device in (
+        PlayedLaser(LASER, IDENTITY),
+        PlayedNode(RIG.devices["encoder"], {}),
+        PlayedDrive(RIG.devices["drive"], {}),
+        PlayedDevice(),
+    ):
         for piece in pieces:
             assert isinstance(device.hear(piece), bytes)
         assert device.rest() == b""

@@ -46,7 +46,7 @@ class Line:
 
     def __init__(self, **given: Any) -> None:
         self.settings = settings(**given)
-        self.pipeline = ConverterPipeline("drive", self.settings)
+        self.pipeline = ConverterPipeline("drive", self.settings, {})
         self.now_ns = 0
         self.items: list[Batch | DeviceEvent] = []
 

@@ -33,7 +33,7 @@ def beat(state: int) -> bytes:
 
 def joined() -> DrivePipeline:
     """A pipeline whose log has begun."""
-    return DrivePipeline("drive", CONFIG)
+    return DrivePipeline("drive", CONFIG, {})
 
 
 def events(items: Items) -> list[DeviceEvent]:
@@ -74,8 +74,8 @@ def test_a_short_report_is_explained_once_and_later_ones_are_used(size: int) -> 
     pipeline, short = joined(), line(cia301.cob_tpdo(1, NODE), bytes(size))
     items = pipeline.feed(RX, short + report() + short, S)
     found = [event for event in events(items) if event.kind == "mapping"]
-    assert [(event.facts, event.text) for event in found] == [({"bytes": size}, pipeline.complaint)]
-    assert pipeline.complaint == (
+    assert [(event.facts, event.text) for event in found] == [({"bytes": size}, pipeline.status.complaint)]
+    assert pipeline.status.complaint == (
         f"its reports (TPDO1) have {size} bytes; statusword and actual speed are 4. Look at the drive's mapping (1A00h)"
     )
     assert column(items, "speed_rpm") == [300.0]

@@ -114,19 +114,19 @@ def test_positions_of_an_encoder_that_was_just_powered_are_samples() -> None:
     line.all_answer()
     line.all_answer()
     assert sum(len(batch.time_ns) for batch in line.batches()) > 0
-    assert line.pipeline.complaint == ""
+    assert line.pipeline.status.complaint == ""
     assert line.events("network")
     line = encoders.Line()
     line.all_answer()
     line.at(0, RX, rx(b"t703100\r"))
     assert len(line.events("restart")) == 1
-    assert "its set-up is gone" in line.pipeline.complaint
+    assert "its set-up is gone" in line.pipeline.status.complaint
 
 
 @pytest.mark.parametrize("heard", [vesc.ANSWER, vesc.STATUS])
 def test_the_start_message_of_a_vesc_is_a_restart_once_it_was_heard(heard: bytes) -> None:
     boot = vesc.text(vesc.extended(0x3917, "36305F4D4B35"))
-    pipeline = vesc.can_pipeline("drive", vesc.controller())
+    pipeline = vesc.VescCanPipeline("drive", vesc.controller(), {})
     pipeline.feed(TX, OPENING, 0)
     assert kinds(pipeline.feed(RX, boot, MS)) == ["network"]
     pipeline.feed(RX, heard, 2 * MS)

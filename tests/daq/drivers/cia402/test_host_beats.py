@@ -28,7 +28,7 @@ class Bus:
     """The host's beats each 100 ms, with what else is on the bus."""
 
     def __init__(self) -> None:
-        self.pipeline = DrivePipeline("drive", CONFIG)
+        self.pipeline = DrivePipeline("drive", CONFIG, {})
         self.faults: list[DeviceEvent] = []
         self.now_ms = 0.0
 

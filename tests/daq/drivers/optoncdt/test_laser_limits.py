@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq import channels
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -20,7 +19,7 @@ Items = list[Batch | DeviceEvent]
 
 def laser(rate_Hz: float = 4000.0, **more: Any) -> LaserPipeline:
     table = {"driver": "optoncdt", "port": "p", "axis": "x", "rate_Hz": rate_Hz, **more}
-    return LaserPipeline("laser_x", Laser.model_validate(table), channels.LASER_X, {})
+    return LaserPipeline("laser_x", Laser.model_validate(table), {})
 
 
 def blocks(counters: np.ndarray, ticks: np.ndarray | None = None, codes: np.ndarray | int = 30_000) -> bytes:
@@ -83,7 +82,7 @@ def test_a_rate_near_that_of_the_rig_file_is_reported_when_it_is_certain(deviati
         items = pipe.feed(RX, blocks(counters, ticks), START_NS + 40_000 * int(counters[-1]))
         assert values(items, "counter") == counters.tolist()
         found += events(items)
-    assert 0 < pipe.clock_std_ns < 1e7
+    assert 0 < pipe.status.clock_std_ns < 1e7
     assert len(found) == int(reported)
     for event in found:
         assert event.kind == "rate"
@@ -99,7 +98,7 @@ def test_only_bytes_before_the_first_block_are_no_damage() -> None:
         RX, b"\xff\xff" + blocks(np.arange(4)) + b"\xff\xff\xff" + blocks(np.arange(4, 9)), START_NS
     )
     assert isinstance(damage, DeviceEvent)
-    assert (damage.text, damage.facts) == ("3 bytes skipped to find the next block", {"bytes": 3})
+    assert (damage.text, damage.facts) == ("3 bytes skipped that belong to no block", {"bytes": 3})
     assert pipe.losses["bytes"] == 3
 
 
@@ -171,8 +170,8 @@ def test_commands_of_the_host_give_no_samples_and_the_start_ends_the_sign_of_a_l
     assert pipe.feed(TX, blocks(np.arange(40)), START_NS) == []
     for turn in range(9):
         pipe.feed(RX, b"\xff", START_NS + 250 * turn * MS)
-        assert pipe.set_up_lost == ""
+        assert pipe.status.set_up_lost == ""
     pipe.feed(RX, b"\xff", START_NS + 2001 * MS)
-    assert pipe.set_up_lost == "it sends bytes that give no samples, so it may have other settings"
+    assert pipe.status.set_up_lost == "it sends bytes that give no samples, so it may have other settings"
     pipe.feed(TX, b"OUTPUT RS422\n", START_NS + 2002 * MS)
-    assert pipe.set_up_lost == ""
+    assert pipe.status.set_up_lost == ""

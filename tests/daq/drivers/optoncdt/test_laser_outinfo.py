@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from daq import channels
 from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
@@ -66,11 +65,11 @@ def test_without_an_identity_the_stream_is_made_of_the_rig_files_words() -> None
     config = Laser.model_validate({**RIG_TABLE, "words": words})
     k = np.arange(100)
     columns = [np.full(100, 7), np.full(100, 30_000), 25 * k & 0xFFFF, 25 * k >> 16, k]
-    pipeline = LaserPipeline("laser_x", config, channels.LASER_X, {})
+    pipeline = LaserPipeline("laser_x", config, {})
     items = pipeline.feed(RX, optoncdt.encode_block(np.column_stack(columns).astype(np.uint32)), 10**18)
     assert [n for item in items if isinstance(item, Batch) for n in item.columns["counter"].tolist()] == k.tolist()
     assert not any(pipeline.losses.values())
-    laser_with_identity = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # the log has priority
+    laser_with_identity = LaserPipeline("laser_x", config, {"words": USUAL})  # the log has priority
     assert laser_with_identity._decoder.words == tuple(USUAL)
     played = PlayedLaser(Laser.model_validate({**RIG_TABLE, "words": words[1:]}), {})
     assert b"GETOUTINFO_RS422 DIST TIMESTAMP COUNTER" in played.hear(b"GETOUTINFO_RS422\n")
@@ -103,4 +102,4 @@ def test_the_most_words_a_block_can_have_are_taken() -> None:
     names = ["DIST", "COUNTER", "TIMESTAMP", *(f"W{i}" for i in range(28))]
     config = Laser.model_validate({**RIG_TABLE, "words": names})
     assert len(config.output_words) == sensor_answers.MAX_WORDS
-    assert LaserPipeline("laser_x", config, channels.LASER_X, {})._decoder.words == config.output_words
+    assert LaserPipeline("laser_x", config, {})._decoder.words == config.output_words

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from pydantic import ValidationError
 
-from daq import channels
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -37,7 +36,7 @@ RATES_HZ = (
 
 def laser(rate_Hz: float) -> LaserPipeline:
     config = Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x", "rate_Hz": rate_Hz})
-    return LaserPipeline("laser_x", config, channels.LASER_X, {})
+    return LaserPipeline("laser_x", config, {})
 
 
 def blocks(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:

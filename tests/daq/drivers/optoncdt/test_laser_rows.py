@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from daq import channels
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.items import RX, Batch, DeviceEvent
@@ -47,7 +46,7 @@ def read(
 
 
 def laser() -> LaserPipeline:
-    return LaserPipeline("laser_x", LASER, channels.LASER_X, {})
+    return LaserPipeline("laser_x", LASER, {})
 
 
 def ticks_of(items: list[Batch | DeviceEvent]) -> np.ndarray:

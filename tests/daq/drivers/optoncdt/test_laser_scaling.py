@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq import channels
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.drivers.optoncdt.played import PlayedLaser
@@ -24,7 +23,7 @@ RIG_TABLE = {"driver": "optoncdt", "port": "p", "axis": "x"}
 
 def laser(identity: dict[str, object] | None = None, **settings: object) -> LaserPipeline:
     config = Laser.model_validate({**RIG_TABLE, **settings})
-    return LaserPipeline("laser_x", config, channels.LASER_X, identity or {})
+    return LaserPipeline("laser_x", config, identity or {})
 
 
 def blocks(codes: np.ndarray, first: int = 70_000) -> bytes:

@@ -8,7 +8,6 @@ import threading
 import numpy as np
 import pytest
 
-from daq import channels
 from daq.drivers.optoncdt import dialogue, wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -181,14 +180,14 @@ def test_an_ild2300_without_samples_is_explained_by_its_short_timestamp(name: st
     identity = HandMadeLaser(name=name).set_up()
     assert identity["scaling"] == "ILD1420"
     laser = load_rig("virtual").devices["laser_x"]
-    pipeline = LaserPipeline("laser_x", laser, channels.LASER_X, identity)
-    assert all(words in pipeline.complaint for words in ("one value", "by Ethernet", "devices.laser_x.words"))
-    assert pipeline.has_reported
-    other = LaserPipeline("laser_x", laser, channels.LASER_X, {**identity, "name": "ILD1420-25"})
-    assert other.complaint == ""
+    pipeline = LaserPipeline("laser_x", laser, identity)
+    assert all(words in pipeline.status.complaint for words in ("one value", "by Ethernet", "devices.laser_x.words"))
+    assert pipeline.status.has_reported
+    other = LaserPipeline("laser_x", laser, {**identity, "name": "ILD1420-25"})
+    assert other.status.complaint == ""
     rows = np.column_stack([np.full(40, 30_000), np.arange(40), 25 * np.arange(40), np.zeros(40, int)])
     pipeline.feed(RX, optoncdt.encode_block(rows), 1_700_000_000_000_000_000)
-    assert pipeline.complaint == "", "two values are decoded as with other models"
+    assert pipeline.status.complaint == "", "two values are decoded as with other models"
 
 
 def test_two_lost_answers_end_the_set_up_with_what_to_look_at() -> None:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
-from daq import channels
 from daq.channels import suspects
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -101,7 +100,7 @@ def wire(codes: NDArray[np.integer]) -> bytes:
 
 
 def laser() -> LaserPipeline:
-    return LaserPipeline("laser_x", load_rig("virtual").devices["laser_x"], channels.LASER_X, {})
+    return LaserPipeline("laser_x", load_rig("virtual").devices["laser_x"], {})
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from daq import channels
 from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
@@ -23,7 +22,7 @@ ORDERS = st.lists(st.sampled_from(NAMES), min_size=1, max_size=6)
 
 
 def pipeline(identity: dict[str, object] | None = None) -> LaserPipeline:
-    return LaserPipeline("laser_x", DEVICES["laser_x"], channels.LASER_X, identity or {})
+    return LaserPipeline("laser_x", DEVICES["laser_x"], identity or {})
 
 
 def answer(*names: str) -> bytes:

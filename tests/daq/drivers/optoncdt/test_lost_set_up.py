@@ -10,7 +10,7 @@ import pytest
 
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
-from daq.drivers.contract import NoticesLostSetUp, Talk
+from daq.drivers.contract import Talk
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.driver import DRIVER
 from daq.drivers.optoncdt.far_end import SimulatedLaser
@@ -55,8 +55,7 @@ class Stream:
 
     @property
     def sign(self) -> str:
-        assert isinstance(self.pipeline, NoticesLostSetUp)
-        return self.pipeline.set_up_lost
+        return self.pipeline.status.set_up_lost
 
 
 def test_a_restart_is_a_sign_until_the_stream_is_started_again() -> None:
@@ -109,6 +108,16 @@ def opened() -> tuple[LockstepRig, Session]:
     )
 
 
+_POWER = SimulatedLaser.power
+
+
+def streaming_again(laser: SimulatedLaser, on: bool, now_s: float) -> None:
+    """Switch a sensor's power; it streams by itself when its power returns."""
+    _POWER(laser, on, now_s)
+    if on:
+        laser._commands.receive(SAME_WORDS)
+
+
 def power_cycled(
     monkeypatch: pytest.MonkeyPatch, log: Path, stored: bytes, becomes: SensorInfo | None = None
 ) -> tuple[Session, list[str]]:
@@ -118,12 +127,12 @@ def power_cycled(
         stored: commands whose effect is stored in the sensor.
         becomes: sensor that is on its cable afterwards.
     """
-    power, cut = SimulatedLaser.power, []
+    cut: list[float] = []
 
     def restored(laser: SimulatedLaser, on: bool, now_s: float) -> None:
         if becomes is not None:
             laser._info = becomes
-        power(laser, on, now_s)
+        _POWER(laser, on, now_s)
         if on:
             laser._commands.receive(stored)
             cut.append(now_s)
@@ -188,12 +197,6 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A dialogue with a sensor would delay the monitoring of the rotor."""
-    power = SimulatedLaser.power
-
-    def restored(laser: SimulatedLaser, on: bool, now_s: float) -> None:
-        power(laser, on, now_s)
-        if on:
-            laser._commands.receive(SAME_WORDS)
 
     def wait(seconds: float) -> None:
         end = sim.clock.wall_s() + seconds
@@ -204,7 +207,7 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
     def turning(command: RotorCommand) -> bool:
         return True
 
-    monkeypatch.setattr(SimulatedLaser, "power", restored)
+    monkeypatch.setattr(SimulatedLaser, "power", streaming_again)
     sim, session = opened()
     with session:
         with monkeypatch.context() as turned:
@@ -227,21 +230,24 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.1, 0.12])
-def test_a_lost_set_up_is_reported_before_the_device_is_set_up_again(tmp_path: Path, after_s: float) -> None:
-    """It may be found in a wait of the session, before the check that is made four times a second."""
+def test_a_lost_set_up_is_reported_before_the_device_is_set_up_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, after_s: float
+) -> None:
+    """Devices are set up again in any wait of the session, and looked at four times a second."""
+    monkeypatch.setattr(SimulatedLaser, "power", streaming_again)
     sim, session = opened()
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(3.0)
         sim.clock.wait(after_s)
-        pipeline = session._core.pipelines["laser_y"]
-        assert isinstance(pipeline, NoticesLostSetUp)
-        pipeline.set_up_lost = "it may have lost power"
-        for _ in range(40):
+        sim.ask("fail", device="laser_y", what="power", value=1, seconds=0.1)
+        for _ in range(60):
             session.check()
             sim.clock.wait(0.05)
         session.stop_recording({})
-    assert [notice for notice in session.notices if "it may have lost power. It is set up again" in notice]
+    assert [
+        notice for notice in session.notices if "may have lost power and its settings. It is set up again" in notice
+    ]
     with open_log(tmp_path / "a.mcap") as log:
         assert [e["kind"] for e in log.events if e["kind"] in ("altered", "set_up")] == ["altered", "set_up"]
 
@@ -250,6 +256,7 @@ def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The text of a failure may contain numbers of bytes; a recording of hours makes thousands of attempts."""
+    monkeypatch.setattr(SimulatedLaser, "power", streaming_again)
     sim, session = opened()
     attempts: list[str] = []
 
@@ -261,10 +268,8 @@ def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         monkeypatch.setitem(vars(DRIVER), "open", refuses)
-        pipeline = session._core.pipelines["laser_y"]
-        assert isinstance(pipeline, NoticesLostSetUp)
-        pipeline.set_up_lost = "it may have lost power"
-        for _ in range(800):
+        sim.ask("fail", device="laser_y", what="power", value=1, seconds=0.1)
+        for _ in range(820):
             session.check()
             sim.clock.wait(0.05)
         session.stop_recording({})

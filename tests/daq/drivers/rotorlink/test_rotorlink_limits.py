@@ -85,7 +85,7 @@ def test_the_time_of_a_gap_is_that_between_the_newest_frames_around_it() -> None
     assert first.facts == {"radio_frames": 2, "span_s": pytest.approx(0.01, abs=1e-9)}
     assert second.facts == {"radio_frames": 2, "span_s": pytest.approx(0.02, abs=1e-9)}
     assert second.text == "2 radio frames lost within 20 ms"
-    assert line.pipeline.heard_frames == (0, 8)
+    assert line.pipeline.status.heard_frames == (0, 8)
     assert line.values("revolutions") == [7] * 5
 
 
@@ -147,7 +147,7 @@ def test_a_gap_before_a_frame_without_a_time_has_no_span() -> None:
         {"radio_frames": 1, "span_s": 0.0},
         {"radio_frames": 2, "span_s": pytest.approx(0.01)},
     ]
-    assert line.pipeline.heard_frames == (0, 8)
+    assert line.pipeline.status.heard_frames == (0, 8)
 
 
 @pytest.mark.parametrize("newest_us", [0, 9_000])
@@ -198,7 +198,7 @@ def test_a_block_that_is_sent_again_is_neither_counted_nor_a_restart() -> None:
     assert line.losses == {"radio_frames": 3}
     assert [event.facts["span_s"] for event in line.events("gap")] == [pytest.approx(0.02), pytest.approx(0.01)]
     assert line.events("restart") == []
-    assert line.pipeline.heard_frames == (7, 12)
+    assert line.pipeline.status.heard_frames == (7, 12)
 
 
 def test_after_a_restart_numbers_and_losses_begin_again() -> None:
@@ -364,7 +364,7 @@ def test_a_number_other_than_1_is_reported_and_those_of_other_nodes_are_foreign(
     assert [event.facts["node"] for event in line.events("foreign")] == others
     assert f"this rig's is node {number}" in line.events("foreign")[0].text
     assert len(line.values("revolutions")) == 1
-    assert line.pipeline.learned == {"node": number}
+    assert line.pipeline.status.learned == {"node": number}
 
 
 def test_the_number_of_the_rig_file_counts_more_than_that_of_the_identity() -> None:
@@ -380,7 +380,7 @@ def test_another_number_of_counts_than_the_rig_file_s_is_a_fault(counts: int) ->
     line = Line()
     line.at(0, rotorlink.NodeStatus(1, 0, 0, 3700, 200, 8, 2, 1, 4, counts).pack())
     (fault,) = line.events("fault")
-    assert fault.text == line.pipeline.complaint
+    assert fault.text == line.pipeline.status.complaint
     assert f"the node reports {counts} counts per revolution, the rig file states 4096" in fault.text
     assert line.events("status")[0].facts["temperature_degC"] == 20.0
 
@@ -407,7 +407,7 @@ def test_a_frame_that_the_dongle_sends_again_is_not_taken() -> None:
     line.at(1_000, wrapped(0, 1_000, mark(0, 1_000)))
     line.at(2_000, wrapped(1, 2_000, mark(1, 2_000)))
     assert line.at(2_500, wrapped(1, 2_000, mark(2, 2_500))) == []
-    assert line.pipeline.heard_frames == (0, 1)
+    assert line.pipeline.status.heard_frames == (0, 1)
 
 
 def test_unknown_frames_of_a_dongle_are_counted_as_its_own() -> None:
@@ -452,4 +452,4 @@ def test_of_the_damage_in_the_first_read_only_the_first_is_the_rest_of_a_frame()
 
 
 def test_a_node_without_frames_states_the_error_of_its_clock() -> None:
-    assert Line().pipeline.clock_std_ns > 0.0
+    assert Line().pipeline.status.clock_std_ns > 0.0
