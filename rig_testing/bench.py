@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import queue
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,20 +16,21 @@ from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports.host_clock import HostClock, Repeated
+from daq.lockstep.clock import SimulatedClock
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.units import TO_RPM
 from rig_configs import load_rig
 from rig_configs.device import DeviceSettings
 from rig_configs.schema import Radio, SimulatedSensors, Virtual
-from rig_testing.simulated_time import SimulatedTime
 
 NAME = "device"
-START_NS = 1_700_000_000_000_000_000
 NOISE_M = 4e-6
 PLUCK_M = (3e-3, 2e-3)
 """Displacement of the column before it is released, x and y, m."""
+STEP_S = 0.01
+"""Period at which the rig moves and passes its bytes to the host, s."""
+_ANSWER_S = 0.3e-3  # time of an immediate answer on the line: it does not wait for the next step
 _HOLD_S, _TURN_RAD_S, _RAMP_RAD_S2, _FLICK_RAD_S = 0.3, 20.0, 40.0, 4.0
 
 Items = list[Batch | DeviceEvent]
@@ -43,31 +43,6 @@ def settings_for(driver: Driver) -> DeviceSettings:
         pydantic.ValidationError: the example is not valid.
     """
     return driver.example_at("simulated")
-
-
-class RigTime(HostClock):
-    """The host's clock, on simulated time."""
-
-    def __init__(self, time: SimulatedTime) -> None:
-        super().__init__()
-        self._time = time
-        self._repeated: list[Repeated] = []
-
-    def now_ns(self) -> int:
-        """See HostClock."""
-        return START_NS + round(self._time.now_s * 1e9)
-
-    def every(
-        self, seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
-    ) -> Repeated:
-        """See HostClock."""
-        self._repeated.append(super().every(seconds, do, name, failed))
-        return self._repeated[-1]
-
-    def end(self) -> None:
-        """End the periodic actions that nothing has ended: their threads would go on with the process."""
-        for each in self._repeated:
-            each.stop()
 
 
 class SetClockWorld(World):
@@ -109,7 +84,7 @@ class DriverBench:
         clock_at_s: time of the device's clock at the start, s; None: drawn from the seed.
 
     Attributes:
-        time: the simulated time; it passes inside of `running`.
+        clock: simulated clock; the rig moves during its waits, in one thread.
         gone: whether the link is lost.
         items: output of the pipeline since its start.
         control: the command of the rotor, if the driver has one and `begin` was called.
@@ -122,8 +97,7 @@ class DriverBench:
         virtual = Virtual(seed=seed, lock_play_deg=0.0, sensors=sensors, radio=Radio(burst_start=0.0))
         self.driver: Driver = driver
         self.settings: DeviceSettings = settings_for(driver)
-        self.time: SimulatedTime = SimulatedTime(self._moved)
-        self.clock: RigTime = RigTime(self.time)
+        self.clock: SimulatedClock = SimulatedClock()
         physics = load_rig("virtual").true_physics
         self.motion: SimulatedMotion = SimulatedMotion(physics, virtual.drive.slip, virtual.drive.lag_s)
         world = SetClockWorld if clock_at_s is not None else World
@@ -131,8 +105,7 @@ class DriverBench:
         if isinstance(self.world, SetClockWorld) and clock_at_s is not None:
             self.world.clock_at_s = clock_at_s
         self.far: FarEnd = driver.far_end(NAME, self.settings, self.world)
-        self.replies: queue.Queue[str] = queue.Queue()
-        self.closed: bool = False
+        self.replies: queue.Queue[str] = self.clock.queue()
         self.gone = False
         self.control: SpeedControl | None = None
         self.locks: LockControl | None = None
@@ -142,8 +115,8 @@ class DriverBench:
         self.identity: dict[str, Any] = {}
         self._bytes_in = 0
         self._stretches: list[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]] = []
-        self._actions: list[tuple[float, Callable[[], object]]] = []
         self.restart_decoding()
+        self.clock.after(STEP_S, self._step, world=True)
 
     # --- Talk --------------------------------------------------------------------------------------------------
 
@@ -153,11 +126,11 @@ class DriverBench:
         return self._bytes_in
 
     def send(self, data: bytes) -> None:
-        """See Talk."""
-        if self.gone or self.closed:
+        """See Talk. The device answers during the next wait."""
+        if self.gone:
             raise LinkLost(f"{NAME}: the link is gone")
         self._feed(TX, data)
-        self._came(self.far.receive(data, self.motion.time_s))
+        self.clock.after(0.0, lambda: self._reach(data), world=True)
 
     def restart_decoding(self) -> None:
         """See Talk."""
@@ -187,28 +160,24 @@ class DriverBench:
             elif isinstance(item, DeviceEvent) and item.kind == "acknowledge" and self.locks is not None:
                 self.locks.heard(item)
 
-    def _moved(self, now_s: float) -> None:
-        while self._actions and self._actions[0][0] <= now_s:
-            self._actions.pop(0)[1]()
+    def _reach(self, data: bytes) -> None:
+        """Pass bytes of the host to the device, on a rig that has moved until now."""
+        self._move()
+        self._came(self.far.receive(data, self.motion.time_s))
+        self.clock.after(_ANSWER_S, self._move, world=True)
+
+    def _step(self) -> None:
+        self._move()
+        self.clock.after(STEP_S, self._step, world=True)
+
+    def _move(self) -> None:
         self._came(self.far.step(self.motion.time_s))
-        stretch = self.motion.advance(now_s)
+        stretch = self.motion.advance(self.clock.wall_s())
         if stretch is not None:
             self._stretches.append((stretch.time_s[1:], stretch.rows[1:]))
             self._came(self.far.sample(stretch))
 
     # --- actions ------------------------------------------------------------------------------------------------
-
-    @contextlib.contextmanager
-    def running(self) -> Generator[DriverBench]:
-        """Simulated time passes while a thread waits. At the end the link is lost, and periodic actions end."""
-        try:
-            with self.time.running():
-                try:
-                    yield self
-                finally:
-                    self.closed = True
-        finally:
-            self.clock.end()
 
     def begin(self) -> None:
         """Open the device as a session does, and start a recording with a fresh pipeline that has its identity."""
@@ -252,12 +221,16 @@ class DriverBench:
 
         The rotor is not turned if the driver turns it.
         """
-        at = self.time.now_s + _HOLD_S
         self.motion.hold(*PLUCK_M)
-        flicks = [lambda j=j: (self.motion.release(j), self.motion.flick(j, _FLICK_RAD_S)) for j in (0, 1)]
-        self._actions += [(at, self.motion.release_column), *((at, flick) for flick in flicks)]
+        self.clock.after(_HOLD_S, self._release, world=True)
         if self.control is None:
             self.motion.target_rad_s, self.motion.ramp_rad_s2 = _TURN_RAD_S, _RAMP_RAD_S2
+
+    def _release(self) -> None:
+        self.motion.release_column()
+        for pendulum in (0, 1):
+            self.motion.release(pendulum)
+            self.motion.flick(pendulum, _FLICK_RAD_S)
 
     def cut_tape(self) -> Tape:
         """Return all data since the recording began."""
@@ -278,16 +251,14 @@ class PlayedTalk:
 
     def __init__(self, bench: DriverBench, played: PlayedDevice) -> None:
         self._bench, self._played = bench, played
-        self.clock: RigTime = bench.clock
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.clock: SimulatedClock = bench.clock
+        self.replies: queue.Queue[str] = bench.clock.queue()
         self.bytes_in: int = 0
         self.control: SpeedControl | None = None
         self.restart_decoding()
 
     def send(self, data: bytes) -> None:
         """See Talk."""
-        if self._bench.closed:
-            raise LinkLost(f"{NAME}: the link is gone")
         self._pipeline.feed(TX, data, self._bench.clock.now_ns())
         answer = self._played.hear(data)
         if not answer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from typing import Any
 
@@ -13,10 +14,12 @@ from daq.drivers.driver import CLAIMS
 from daq.drivers.simulated import FarEnd
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX
+from daq.lockstep.clock import START_NS
 from rig_basics.texts import number_of
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import DisplacementSensor, OtherQuantity, PendulumAngles, PendulumLocks, Roles
-from rig_testing.bench import NAME, START_NS, DriverBench, PlayedTalk
+from rig_testing.bench import NAME, STEP_S, DriverBench, PlayedTalk
+from rig_testing.own_waits import own_waits
 from rig_testing.report import Failed, need
 from rig_testing.subject import Subject, events, together, turn
 
@@ -78,34 +81,56 @@ def check_roles(subject: Subject) -> str:
 def check_opening(subject: Subject) -> str:
     """The opening dialogue with the far end returns an identity of plain words and numbers."""
     bench = DriverBench(subject.driver)
-    with bench.running():
-        try:
-            bench.begin()
-        except (DeviceError, LinkLost) as error:
-            raise Failed(f"open: its own far end is rejected: {error}") from error
-        identity: Any = bench.identity
-        need(isinstance(identity, dict), f"open: expected a dict as identity, got {type(identity).__name__}")
-        try:
-            again = json.loads(json.dumps(identity, allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise Failed(f"open: the identity is not JSON ({error}): {identity!r}") from error
-        need(again == identity, f"open: the identity {identity!r} became {again!r} through JSON, the format of a log")
-        subject.driver.pipeline(NAME, subject.settings, again)
-        return f"in {bench.time.now_s:.1f} s of its time: {', '.join(identity)}"
+    try:
+        bench.begin()
+    except (DeviceError, LinkLost) as error:
+        raise Failed(f"open: its own far end is rejected: {error}") from error
+    identity: Any = bench.identity
+    need(isinstance(identity, dict), f"open: expected a dict as identity, got {type(identity).__name__}")
+    try:
+        again = json.loads(json.dumps(identity, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise Failed(f"open: the identity is not JSON ({error}): {identity!r}") from error
+    need(again == identity, f"open: the identity {identity!r} became {again!r} through JSON, the format of a log")
+    subject.driver.pipeline(NAME, subject.settings, again)
+    return f"in {bench.clock.wall_s():.1f} s of its time: {', '.join(identity)}"
 
 
 def check_silence(subject: Subject) -> str:
     """A device that does not answer causes an error in finite time, unless the driver sends it no request."""
     bench = DriverBench(subject.driver)
     bench.far = FarEnd()  # never answers
-    with bench.running():
-        try:
-            bench.begin()
-        except (DeviceError, LinkLost) as error:
-            waited_s = bench.time.now_s
-            need(waited_s < 60.0, f"open: waited {waited_s:.0f} s for an answer, expected a minute at most")
-            return f"after {waited_s:.1f} s of its time: {error}"
+    try:
+        bench.begin()
+    except (DeviceError, LinkLost) as error:
+        waited_s = bench.clock.wall_s()
+        need(waited_s < 60.0, f"open: waited {waited_s:.0f} s for an answer, expected a minute at most")
+        return f"after {waited_s:.1f} s of its time: {error}"
     return "it sends no request"
+
+
+def check_waits(subject: Subject) -> str:
+    """Dialogues and commands wait on the clock that they are given, read no other one, and start no thread."""
+    _ = subject.tape  # everything is loaded and compiled, which may wait
+    bench, silent = DriverBench(subject.driver), DriverBench(subject.driver)
+    silent.far = FarEnd()
+    with own_waits() as calls:
+        bench.begin()
+        if bench.control is not None:
+            turn(bench)
+            bench.control.stop()
+        if bench.locks is not None:
+            bench.locks.command("release both", lambda: None)
+        bench.clock.wait(0.3)
+        bench.end()
+        with contextlib.suppress(DeviceError, LinkLost):  # usual: it does not answer
+            silent.begin()
+    if calls:
+        raise Failed(
+            f"{calls[0]}: expected the clock that it is given (`wait`, `wall_s`, `every` in place of a thread): its "
+            "dialogues and commands take no time of their own"
+        )
+    return ""
 
 
 def check_streaming(subject: Subject) -> str:
@@ -173,50 +198,49 @@ def _check_batch(columns: Any, topic: str, subject: Subject) -> None:
 def check_stop(subject: Subject) -> str:
     """The stream can be stopped twice, and the device opened again."""
     bench = DriverBench(subject.driver)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.3)
-        for _ in range(2):
-            if bench.control is not None:
-                need(bench.control.stop() is True, "stop of the speed source: expected True at rest")
-            bench.end()
-        came = bench.bytes_in
-        bench.time.pass_time(0.3)
-        silent = bench.bytes_in == came
-        bench.begin()
-        bench.time.pass_time(0.5)
-        for topic in subject.constant:
-            need(together(bench.items, topic) is not None, f"opened again after its stop: no samples in {topic}")
-        if silent:
-            return "it is silent then"
-        need(not subject.claims(_SILENT), f"it continues to send, and the driver claims that it {_SILENT}")
-        return f"it continues to send; if it should not, claim {_SILENT!r} to make this a failure"
+    bench.begin()
+    bench.clock.wait(0.3)
+    for _ in range(2):
+        if bench.control is not None:
+            need(bench.control.stop() is True, "stop of the speed source: expected True at rest")
+        bench.end()
+    bench.clock.wait(STEP_S)  # bytes that were sent before the stop arrived
+    came = bench.bytes_in
+    bench.clock.wait(0.3)
+    silent = bench.bytes_in == came
+    bench.begin()
+    bench.clock.wait(0.5)
+    for topic in subject.constant:
+        need(together(bench.items, topic) is not None, f"opened again after its stop: no samples in {topic}")
+    if silent:
+        return "it is silent then"
+    need(not subject.claims(_SILENT), f"it continues to send, and the driver claims that it {_SILENT}")
+    return f"it continues to send; if it should not, claim {_SILENT!r} to make this a failure"
 
 
 def check_link_lost(subject: Subject) -> str:
     """Stopping, and opening, a disconnected device ends without an error or with LinkLost or DeviceError."""
     outcomes: list[str] = []
     bench = DriverBench(subject.driver)
-    with bench.running():
-        bench.begin()
-        if bench.control is not None:
-            turn(bench)
-            bench.time.pass_time(1.0)
-        bench.gone = True
-        before_s = bench.time.now_s
-        for what, act in (("stop", _stop), ("open", _open)):
-            try:
-                act(bench)
-                outcomes.append(f"{what}: no error")
-            except (LinkLost, DeviceError) as error:
-                outcomes.append(f"{what}: {type(error).__name__}")
-            except Exception as error:
-                raise Failed(
-                    f"{what} of a disconnected device: expected LinkLost or DeviceError, got "
-                    f"{type(error).__name__}: {error}"
-                ) from error
-        waited_s = bench.time.now_s - before_s
-        need(waited_s < 120.0, f"stop and open of a disconnected device took {waited_s:.0f} s")
+    bench.begin()
+    if bench.control is not None:
+        turn(bench)
+        bench.clock.wait(1.0)
+    bench.gone = True
+    before_s = bench.clock.wall_s()
+    for what, act in (("stop", _stop), ("open", _open)):
+        try:
+            act(bench)
+            outcomes.append(f"{what}: no error")
+        except (LinkLost, DeviceError) as error:
+            outcomes.append(f"{what}: {type(error).__name__}")
+        except Exception as error:
+            raise Failed(
+                f"{what} of a disconnected device: expected LinkLost or DeviceError, got "
+                f"{type(error).__name__}: {error}"
+            ) from error
+    waited_s = bench.clock.wall_s() - before_s
+    need(waited_s < 120.0, f"stop and open of a disconnected device took {waited_s:.0f} s")
     return ", ".join(outcomes)
 
 
@@ -237,21 +261,20 @@ def check_played(subject: Subject) -> str:
     """The stand-in for a device of a log answers the opening dialogue, and then plays."""
     tape = subject.tape
     bench = DriverBench(subject.driver)
-    with bench.running():
-        stand_in = subject.driver.played(subject.settings, tape.identity)
-        talk = PlayedTalk(bench, stand_in)
-        try:
-            identity = subject.driver.open(NAME, subject.settings, talk)
-            if subject.driver.speed_source is not None:
-                talk.control = subject.driver.speed_source(subject.settings, talk.send, bench.clock, bench.guard)
-                talk.control.start()
-        except (DeviceError, LinkLost) as error:
-            raise Failed(f"played: the stand-in does not answer as the device did: {error}") from error
-        json.dumps(identity)
-        need(stand_in.sending, f"played: it does not send after its opening; it expects {stand_in.expects!r}")
-        data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.rest()
-        came = b"".join(data for direction, data, _ in tape.reads if direction == RX)
-        need(stand_in.withheld_bytes == 0, f"played: {number_of(stand_in.withheld_bytes, 'byte')} of the log withheld")
-        need(len(data) >= len(came), f"played: {number_of(len(data), 'byte')} of {len(came)}")
+    stand_in = subject.driver.played(subject.settings, tape.identity)
+    talk = PlayedTalk(bench, stand_in)
+    try:
+        identity = subject.driver.open(NAME, subject.settings, talk)
+        if subject.driver.speed_source is not None:
+            talk.control = subject.driver.speed_source(subject.settings, talk.send, bench.clock, bench.guard)
+            talk.control.start()
+    except (DeviceError, LinkLost) as error:
+        raise Failed(f"played: the stand-in does not answer as the device did: {error}") from error
+    json.dumps(identity)
+    need(stand_in.sending, f"played: it does not send after its opening; it expects {stand_in.expects!r}")
+    data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.rest()
+    came = b"".join(data for direction, data, _ in tape.reads if direction == RX)
+    need(stand_in.withheld_bytes == 0, f"played: {number_of(stand_in.withheld_bytes, 'byte')} of the log withheld")
+    need(len(data) >= len(came), f"played: {number_of(len(data), 'byte')} of {len(came)}")
     different = sorted(key for key in tape.identity if identity.get(key) != tape.identity[key])
     return f"its identity differs in {', '.join(different)}" if different else "with the same identity"

@@ -21,6 +21,7 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "roles": device_checks.check_roles,
     "opening dialogue": device_checks.check_opening,
     "silent device": device_checks.check_silence,
+    "waits": device_checks.check_waits,
     "stream": device_checks.check_streaming,
     "displacement": measured_checks.check_displacement,
     "pendulum angles": measured_checks.check_angles,

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.lockstep.clock import START_NS
 from rig_basics.texts import number_of
 from rig_basics.units import TO_RPM
 from rig_configs.roles import DisplacementSensor, PendulumAngles, RotorPhase, SpeedSource
-from rig_testing.bench import NOISE_M, START_NS, Tape
+from rig_testing.bench import NOISE_M, Tape
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.subject import Subject, together
 

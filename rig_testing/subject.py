@@ -118,20 +118,19 @@ class Subject:
             Failed: the device cannot be opened or does not accept commands.
         """
         bench = DriverBench(self.driver, seed, clock_at_s)
-        with bench.running():
-            try:
-                bench.begin()
-                bench.stir()
-                if bench.control is not None:
-                    turn(bench)
-            except Exception as error:
-                raise Failed(f"it cannot be set up: {type(error).__name__}: {error}") from error
-            bench.time.pass_time(seconds)
-            passed_s = seconds
-            while passed_s < _LONGEST_TAPE_S and sum(read[0] == RX for read in bench.reads) < least_reads:
-                bench.time.pass_time(seconds)
-                passed_s += seconds
-            return bench.cut_tape()
+        try:
+            bench.begin()
+            bench.stir()
+            if bench.control is not None:
+                turn(bench)
+        except Exception as error:
+            raise Failed(f"it cannot be set up: {type(error).__name__}: {error}") from error
+        bench.clock.wait(seconds)
+        passed_s = seconds
+        while passed_s < _LONGEST_TAPE_S and sum(read[0] == RX for read in bench.reads) < least_reads:
+            bench.clock.wait(seconds)
+            passed_s += seconds
+        return bench.cut_tape()
 
     def decode(self, reads: Reads) -> tuple[Items, Pipeline]:
         """Decode reads of the tape's device by a fresh pipeline."""
@@ -151,7 +150,7 @@ def turn(bench: DriverBench) -> None:
     assert bench.control is not None
     assert bench.driver.speed_source is not None
     bench.control.set_ramp(RAMP_RPM_S)
-    bench.time.pass_time(0.2)
+    bench.clock.wait(0.2)
     bench.control.enable()
     bench.control.set_speed(SPEED_RPM)
 

@@ -17,7 +17,7 @@ from rig_basics.interruptions import interruptions_held
 
 START_NS = 1_700_000_000_000_000_000
 _MIN_WAIT_NS = 100_000  # least duration of a wait, so that loops of waits end
-_MAX_GET_S = 3600.0  # wait of a queue without timeout, after which an error is raised
+_MAX_GET_S = 120.0  # wait of a queue without timeout, after which an error is raised; above any device's time-out
 
 
 class WaitNeverEnds(RuntimeError):

@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.drivers.optoncdt import dialogue, wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
-from daq.transports import HostClock
+from daq.lockstep.clock import SimulatedClock
 
 
 class HandMadeLaser:
@@ -30,7 +30,7 @@ class HandMadeLaser:
         outinfo: str = "GETOUTINFO_RS422 DIST1 COUNTER TIMESTAMP",
         answers: Mapping[str, str] | None = None,
     ) -> None:
-        self.clock = HostClock()
+        self.clock = SimulatedClock()
         self.replies: queue.Queue[str] = self.clock.queue()
         self.bytes_in = 0
         self.heard: list[str] = []

@@ -28,8 +28,7 @@ OUTSIDE = {  # classes that no caller of the packages handles, with the reason
     "daq/log/source.py: IndexWrongError": "ends the use of an index; the file is then read without it",
     "daq/mcap/records.py: DamageError": "ends one record; the reader turns it into a listed damage",
     "daq/drivers/rotorlink/wire.py: BadFrame": "ends one frame; the decoder counts it",
-    "daq/lockstep/clock.py: WaitNeverEnds": "a defect of the test that uses simulated time",
-    "rig_testing/simulated_time.py: EndlessWait": "a defect of the driver under test",
+    "daq/lockstep/clock.py: WaitNeverEnds": "a defect of the test or of the driver under test",
     "rig_testing/report.py: Failed": "a failed test, as pytest expects it",
     "rig_testing/report.py: NotTried": "a skipped test",
 }

@@ -126,8 +126,7 @@ def test_positions_are_continuous_over_revolutions(steps: list[int], zero: int, 
 
 def test_the_opening_writes_what_the_standards_define() -> None:
     bench = DriverBench(DRIVER)
-    with bench.running():
-        bench.driver.open("encoders", bench.settings, bench)
+    bench.driver.open("encoders", bench.settings, bench)
     sent = b"".join(data for direction, data, _ in bench.reads if direction == TX)
     lines = HostText().sent(sent).split(b"\r")
     assert lines[:4] == [b"", b"C", b"S6", b"O"]
@@ -621,21 +620,20 @@ def test_an_encoder_that_contradicts_the_rig_file_is_refused(
 ) -> None:
     bench, far = bench_of()
     change(far)
-    with bench.running(), pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=words):
         bench.begin()
 
 
 def test_an_exchanged_encoder_is_refused() -> None:
     bench, far = bench_of(b_serial=77)
     far.encoders[1].objects[0x1018, 4] = (78, "<I")
-    with bench.running(), pytest.raises(DeviceError, match="has serial number 78, the rig file states 77"):
+    with pytest.raises(DeviceError, match="has serial number 78, the rig file states 77"):
         bench.begin()
 
 
 def test_serial_numbers_are_in_the_identity() -> None:
     bench, _ = bench_of(b_serial=77)
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert bench.identity["serial"] == "1003/77/1005"
 
 
@@ -643,8 +641,7 @@ def test_an_encoder_without_scaling_counts_with_its_own_resolution() -> None:
     bench, far = bench_of()
     objects = far.encoders[0].objects
     objects[0x6000, 0], objects[0x6001, 0], objects[0x6502, 0] = (0, "<H"), (999, "<I"), (16, "<H")
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert bench.identity["a_positions"] == 16 * 4096
 
 
@@ -653,9 +650,8 @@ def test_another_mapping_is_corrected_and_optional_objects_may_be_missing() -> N
     objects = far.encoders[0].objects
     objects[0x1A00, 1], objects[0x1005, 0] = (0x60300110, "<I"), (1 << 30 | 0x80, "<I")
     del objects[0x1017, 0], far.encoders[1].objects[0x1801, 1]
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.3)
+    bench.begin()
+    bench.clock.wait(0.3)
     assert objects[0x1A00, 1][0] == 0x60040020
     assert objects[0x1005, 0][0] == 0x80
     assert sum(isinstance(item, Batch) for item in bench.items) > 30
@@ -668,8 +664,7 @@ def test_without_sync_the_timer_is_set(without_cyclic_timer: bool) -> None:
     objects[0x1800, 3] = (500, "<H")
     if without_cyclic_timer:
         del objects[0x6200, 0]
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert [objects[0x1800, sub][0] for sub in (2, 3, 5)] == [254, 0, 20]
 
 
@@ -678,11 +673,10 @@ def test_without_sync_the_timer_is_set(without_cyclic_timer: bool) -> None:
 
 def run(fault: str, value: int, seconds: float = 1.0) -> DriverBench:
     bench, far = bench_of()
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.5)
-        far.fail(fault, value)
-        bench.time.pass_time(seconds)
+    bench.begin()
+    bench.clock.wait(0.5)
+    far.fail(fault, value)
+    bench.clock.wait(seconds)
     return bench
 
 
@@ -732,12 +726,11 @@ def test_an_emergency_and_a_supply_that_returns_are_reported() -> None:
     assert not checks["emergencies"].passed
     assert checks["missing reports"].passed
     bench, far = bench_of()
-    with bench.running():
-        bench.begin()
-        far.power(False, bench.time.now_s)
-        bench.time.pass_time(0.2)
-        far.power(True, bench.time.now_s)
-        bench.time.pass_time(0.2)
+    bench.begin()
+    far.power(False, bench.clock.wall_s())
+    bench.clock.wait(0.2)
+    far.power(True, bench.clock.wall_s())
+    bench.clock.wait(0.2)
     assert sum(isinstance(i, DeviceEvent) and i.kind == "restart" for i in bench.items) == 3
 
 
@@ -760,21 +753,20 @@ def test_a_frozen_position_and_unknown_faults() -> None:
 def test_the_next_sync_waits_for_all_answers() -> None:
     bench, _ = bench_of()
     sent: list[tuple[float, bytes]] = []
-    with bench.running():
-        sender = SyncSender(settings(), lambda data: sent.append((bench.time.now_s, data)), bench.clock)
-        sender.start()
-        bench.time.pass_time(0.1)
-        assert [data for _, data in sent] == [SYNC]
-        sender.heard(report(3, 1) + report(4, 1))
-        bench.time.pass_time(0.05)
-        assert len(sent) == 1
-        sender.heard(report(5, 1)[:6])
-        sender.heard(report(5, 1)[6:])
-        assert len(sent) == 2
-        bench.time.pass_time(2 * LATEST_S + 0.02)
-        assert len(sent) == 3
-        sender.stop()
-        bench.time.pass_time(1.0)
+    sender = SyncSender(settings(), lambda data: sent.append((bench.clock.wall_s(), data)), bench.clock)
+    sender.start()
+    bench.clock.wait(0.1)
+    assert [data for _, data in sent] == [SYNC]
+    sender.heard(report(3, 1) + report(4, 1))
+    bench.clock.wait(0.05)
+    assert len(sent) == 1
+    sender.heard(report(5, 1)[:6])
+    sender.heard(report(5, 1)[6:])
+    assert len(sent) == 2
+    bench.clock.wait(2 * LATEST_S + 0.02)
+    assert len(sent) == 3
+    sender.stop()
+    bench.clock.wait(1.0)
     assert len(sent) == 3
 
 

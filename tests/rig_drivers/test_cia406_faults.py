@@ -30,9 +30,8 @@ def opened(**objects: tuple[int, int, int, str]) -> DriverBench:
     bench, far = bench_of()
     for index, sub, value, form in objects.values():
         far.encoders[1].objects[index, sub] = (value, form)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.1)
+    bench.begin()
+    bench.clock.wait(0.1)
     return bench
 
 
@@ -60,8 +59,7 @@ def test_encoders_without_the_objects_of_faults_have_none() -> None:
     bench, far = bench_of()
     for index, sub in ((0x1003, 0), (0x1003, 1), (0x6503, 0), (0x6505, 0)):
         del far.encoders[1].objects[index, sub]
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert {bench.identity[key] for key in FAULTY} == {0}
 
 
@@ -143,8 +141,7 @@ def test_the_simulated_encoder_has_the_fault_that_it_reports() -> None:
     bench, far = bench_of()
     assert isinstance(far, SimulatedEncoders)
     far.fail("emergency", 0x5000)
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert (bench.identity["a_error_register"], bench.identity["a_error_code"]) == (0x21, 0x5000)
 
 

@@ -56,7 +56,7 @@ FIXED_MAPPING = {(0x1A00, 0), (0x1A00, 1), (0x1A00, 2)}
 )
 def test_a_refusal_has_a_remedy_and_leaves_the_reports_as_they_were(bench: DriverBench, words: str) -> None:
     before = objects_of(bench)
-    with bench.running(), pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=words):
         bench.begin()
     assert objects_of(bench) == before
 
@@ -74,9 +74,8 @@ def test_a_fixed_mapping_with_the_position_is_accepted(
     mapped: list[int], fixed: set[tuple[int, int]], offset: int
 ) -> None:
     bench = with_encoder(fixed, mapped)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.3)
+    bench.begin()
+    bench.clock.wait(0.3)
     assert bench.identity["b_offset"] == offset
     assert objects_of(bench)[0x1A00, 0] == (2 if fixed else 1)
     assert bench.pipeline.losses["invalid"] == 0
@@ -90,8 +89,7 @@ def test_a_fixed_mapping_with_the_position_is_accepted(
 
 def test_a_transmission_type_that_is_right_is_not_written() -> None:
     bench = with_encoder({(0x1800, 2)}, kind=1)
-    with bench.running():
-        bench.begin()
+    bench.begin()
 
 
 def test_the_stand_in_for_a_log_keeps_the_place_of_the_position() -> None:

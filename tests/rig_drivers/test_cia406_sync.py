@@ -133,21 +133,23 @@ class Host:
     def __init__(self) -> None:
         self.bench, _ = bench_of()
         self.sent_s: list[float] = []
-        self.sender = SyncSender(settings(), lambda data: self.sent_s.append(self.bench.time.now_s), self.bench.clock)
+        self.sender = SyncSender(
+            settings(), lambda data: self.sent_s.append(self.bench.clock.wall_s()), self.bench.clock
+        )
 
     def rounds(self, number: int, first_s: float = 0.001, last_s: float = 0.001) -> None:
         for _ in range(number):
             self.until_next()
-            self.bench.time.pass_time(first_s)
+            self.bench.clock.wait(first_s)
             self.sender.heard(report(3, 1) + report(4, 1))
-            self.bench.time.pass_time(last_s)
+            self.bench.clock.wait(last_s)
             self.sender.heard(report(5, 1))
 
     def until_next(self) -> float:
         """Wait for the next SYNC; return the time since the one before, s."""
         count = len(self.sent_s)
         while len(self.sent_s) == count:
-            self.bench.time.pass_time(0.001)
+            self.bench.clock.wait(0.001)
         return self.sent_s[-1] - self.sent_s[-2] if count else 0.0
 
 
@@ -164,32 +166,30 @@ def test_the_wait_for_an_answer_follows_from_the_usual_ones(
     last_s: float, first_s: float, answers: tuple[int, ...], pause_s: float
 ) -> None:
     host = Host()
-    with host.bench.running():
-        host.sender.start()
-        host.rounds(20, last_s=last_s)
-        host.until_next()
-        host.bench.time.pass_time(first_s)
-        host.sender.heard(b"".join(report(node, 1) for node in answers))
-        pause = host.until_next()
-        host.sender.stop()
+    host.sender.start()
+    host.rounds(20, last_s=last_s)
+    host.until_next()
+    host.bench.clock.wait(first_s)
+    host.sender.heard(b"".join(report(node, 1) for node in answers))
+    pause = host.until_next()
+    host.sender.stop()
     assert pause == pytest.approx(pause_s, abs=0.004)
 
 
 def test_reports_that_come_after_they_were_given_up_make_the_wait_longer() -> None:
     host = Host()
     pauses: list[float] = []
-    with host.bench.running():
-        host.sender.start()
-        host.rounds(20)
-        for _ in range(12):
-            host.until_next()
-            host.bench.time.pass_time(0.001)
-            host.sender.heard(report(3, 1) + report(4, 1))
-            pauses.append(host.until_next())
-            host.sender.heard(report(5, 1))  # of the SYNC before
-            host.bench.time.pass_time(0.001)
-            host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
-        host.sender.stop()
+    host.sender.start()
+    host.rounds(20)
+    for _ in range(12):
+        host.until_next()
+        host.bench.clock.wait(0.001)
+        host.sender.heard(report(3, 1) + report(4, 1))
+        pauses.append(host.until_next())
+        host.sender.heard(report(5, 1))  # of the SYNC before
+        host.bench.clock.wait(0.001)
+        host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
+    host.sender.stop()
     assert pauses[0] == pytest.approx(0.013, abs=0.004)
     assert pauses[-1] > 0.02
 
@@ -199,36 +199,34 @@ def test_a_report_that_is_missing_is_waited_for_after_the_next_sync_too(answers:
     """Of two reports the second one is the answer: with a SYNC between them, the first one would be taken for it."""
     host = Host()
     everyone = report(3, 1) + report(4, 1) + report(5, 1)
-    with host.bench.running():
-        host.sender.start()
-        host.rounds(20)
-        host.until_next()
-        host.bench.time.pass_time(0.001)
-        host.sender.heard(b"".join(report(node, 1) for node in answers))
-        host.until_next()
-        count = len(host.sent_s)
-        host.sender.heard(everyone)  # the shaft's first report is late, or all are
-        host.bench.time.pass_time(0.01)
-        assert len(host.sent_s) == count, "the second report has not come yet"
-        host.sender.heard(report(5, 1) if answers else everyone)
-        assert len(host.sent_s) == count + 1
-        host.sender.stop()
+    host.sender.start()
+    host.rounds(20)
+    host.until_next()
+    host.bench.clock.wait(0.001)
+    host.sender.heard(b"".join(report(node, 1) for node in answers))
+    host.until_next()
+    count = len(host.sent_s)
+    host.sender.heard(everyone)  # the shaft's first report is late, or all are
+    host.bench.clock.wait(0.01)
+    assert len(host.sent_s) == count, "the second report has not come yet"
+    host.sender.heard(report(5, 1) if answers else everyone)
+    assert len(host.sent_s) == count + 1
+    host.sender.stop()
 
 
 def test_a_report_that_never_comes_delays_two_syncs_by_the_shortest_wait() -> None:
     host = Host()
-    with host.bench.running():
-        host.sender.start()
-        host.rounds(20)
+    host.sender.start()
+    host.rounds(20)
+    host.until_next()
+    host.bench.clock.wait(0.001)
+    host.sender.heard(report(3, 1) + report(4, 1))
+    count = len(host.sent_s)
+    for _ in range(2):
         host.until_next()
-        host.bench.time.pass_time(0.001)
-        host.sender.heard(report(3, 1) + report(4, 1))
-        count = len(host.sent_s)
-        for _ in range(2):
-            host.until_next()
-            host.bench.time.pass_time(0.001)
-            host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
-        host.sender.stop()
+        host.bench.clock.wait(0.001)
+        host.sender.heard(report(3, 1) + report(4, 1) + report(5, 1))
+    host.sender.stop()
     pauses = [after - before for before, after in pairwise(host.sent_s[count - 1 :])]
     assert pauses == pytest.approx([0.014, 0.014, 0.001], abs=0.002), "the last one is overdue"
 

@@ -405,56 +405,52 @@ def test_other_settings_pass_the_tests_of_drivers(case: rig_testing.ContractCase
 def test_a_node_that_cannot_be_opened_is_explained(fault: str, value: int, words: str) -> None:
     bench = DriverBench(DRIVER)
     bench.far.fail(fault, value)
-    with bench.running(), pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=words):
         bench.begin()
 
 
 def test_another_node_than_the_rig_file_s_is_refused() -> None:
     bench = DriverBench(DRIVER)
     bench.settings = bench.settings.model_copy(update={"serial": "6305-1000-48211"})
-    with bench.running():
+    bench.begin()
+    assert bench.identity["serial"] == "6305-1000-48211"
+    assert bench.identity["firmware"] == "12.5"
+    bench.end()
+    bench.far.fail("serial", 9)
+    with pytest.raises(DeviceError, match=r"serial number 6305-1000-00009, the rig file states 6305-1000-48211"):
         bench.begin()
-        assert bench.identity["serial"] == "6305-1000-48211"
-        assert bench.identity["firmware"] == "12.5"
-        bench.end()
-        bench.far.fail("serial", 9)
-        with pytest.raises(DeviceError, match=r"serial number 6305-1000-00009, the rig file states 6305-1000-48211"):
-            bench.begin()
 
 
 def test_a_channel_that_is_not_active_and_a_refusal_are_explained() -> None:
     bench = DriverBench(DRIVER)
     assert isinstance(bench.far, SimulatedMicroStrain)
     bench.far.eeprom[12] = 1
-    with bench.running():
-        with pytest.raises(DeviceError, match="channel 2 of node 307 is not active"):
-            bench.begin()
-        del bench.far.eeprom[72]
-        with pytest.raises(DeviceError, match="refuses command 0007h with code 1: no such place"):
-            bench.begin()
+    with pytest.raises(DeviceError, match="channel 2 of node 307 is not active"):
+        bench.begin()
+    del bench.far.eeprom[72]
+    with pytest.raises(DeviceError, match="refuses command 0007h with code 1: no such place"):
+        bench.begin()
 
 
 def test_a_node_that_samples_is_stopped_and_opened_again() -> None:
     """As after a host that was killed."""
     bench = DriverBench(DRIVER)
-    with bench.running():
-        for _ in range(2):
-            bench.begin()
-            bench.time.pass_time(1.0)
-            assert together(bench.items, "pendulums") is not None
-            assert not any(bench.pipeline.losses.values())
+    for _ in range(2):
+        bench.begin()
+        bench.clock.wait(1.0)
+        assert together(bench.items, "pendulums") is not None
+        assert not any(bench.pipeline.losses.values())
 
 
 def test_a_stop_that_the_node_does_not_confirm_is_reported_and_ends_the_beacon() -> None:
     bench = DriverBench(DRIVER)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.5)
-        bench.far.fail("radio", 1)
-        with pytest.raises(DeviceError, match="node 307 does not confirm that it is idle"):
-            bench.end()
-        assert isinstance(bench.far, SimulatedMicroStrain)
-        assert not bench.far.streaming
+    bench.begin()
+    bench.clock.wait(0.5)
+    bench.far.fail("radio", 1)
+    with pytest.raises(DeviceError, match="node 307 does not confirm that it is idle"):
+        bench.end()
+    assert isinstance(bench.far, SimulatedMicroStrain)
+    assert not bench.far.streaming
 
 
 @pytest.mark.parametrize(
@@ -468,39 +464,37 @@ def test_a_stop_that_the_node_does_not_confirm_is_reported_and_ends_the_beacon()
 )
 def test_faults_of_the_simulated_node_reach_the_host(fault: str, value: int, kind: str, count: int | None) -> None:
     bench = DriverBench(DRIVER)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.5)
-        bench.far.fail(fault, value)
-        bench.time.pass_time(0.5)
-        if fault == "radio":
-            bench.far.fail(fault, 0)
-        bench.time.pass_time(0.5)
-        whole = together(bench.items, "pendulums")
-        assert whole is not None
-        assert bool(np.any(whole.columns["flags"])) == (fault == "open sensor")
-        losses = {name: number for name, number in bench.pipeline.losses.items() if number}
-        assert set(losses) == ({kind} - {""})
-        assert count is None or losses.get(kind, 0) == count
-        steps = np.diff(whole.columns["node_time_us"].astype(np.int64))
-        missing = int(np.rint(np.sum(steps) * 256e-6)) - len(steps)
-        assert losses.get("samples", 0) == missing
+    bench.begin()
+    bench.clock.wait(0.5)
+    bench.far.fail(fault, value)
+    bench.clock.wait(0.5)
+    if fault == "radio":
+        bench.far.fail(fault, 0)
+    bench.clock.wait(0.5)
+    whole = together(bench.items, "pendulums")
+    assert whole is not None
+    assert bool(np.any(whole.columns["flags"])) == (fault == "open sensor")
+    losses = {name: number for name, number in bench.pipeline.losses.items() if number}
+    assert set(losses) == ({kind} - {""})
+    assert count is None or losses.get(kind, 0) == count
+    steps = np.diff(whole.columns["node_time_us"].astype(np.int64))
+    missing = int(np.rint(np.sum(steps) * 256e-6)) - len(steps)
+    assert losses.get("samples", 0) == missing
 
 
 def test_a_node_without_supply_starts_again_by_the_beacon_and_a_lost_beacon_is_a_restart() -> None:
     bench = DriverBench(DRIVER)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(1.0)
-        bench.far.power(False, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        bench.far.power(True, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        assert kinds(bench.items).count("restart") == 2  # it reports its start, and its ticks begin again
-        bench.far.fail("beacon", 1)
-        bench.time.pass_time(2.0)
-        *_, restart = [i for i in bench.items if isinstance(i, DeviceEvent) and i.kind == "restart"]
-        assert "beacon is off" in restart.text
+    bench.begin()
+    bench.clock.wait(1.0)
+    bench.far.power(False, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    bench.far.power(True, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    assert kinds(bench.items).count("restart") == 2  # it reports its start, and its ticks begin again
+    bench.far.fail("beacon", 1)
+    bench.clock.wait(2.0)
+    *_, restart = [i for i in bench.items if isinstance(i, DeviceEvent) and i.kind == "restart"]
+    assert "beacon is off" in restart.text
 
 
 def test_requests_in_any_pieces_and_after_noise_are_answered() -> None:

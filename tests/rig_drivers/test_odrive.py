@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -313,195 +312,188 @@ class Bench(DriverBench):
 
     def runs(self, rpm: float) -> None:
         self.begin()
-        self.time.pass_time(0.8)
+        self.clock.wait(0.8)
         self.drive.set_ramp(400.0)
         self.drive.enable()
         self.drive.set_speed(rpm)
-        self.time.pass_time(abs(rpm) / 400.0 + 0.5)
+        self.clock.wait(abs(rpm) / 400.0 + 0.5)
         assert self.rpm == pytest.approx(rpm, rel=0.01)
-
-
-@contextmanager
-def running(driver: Driver = DRIVER) -> Generator[Bench]:
-    bench = Bench(driver)
-    with bench.running():
-        yield bench
 
 
 @pytest.mark.parametrize("gear_ratio", [1.0, -3.0])
 @pytest.mark.parametrize("firmware", ["0.5", "0.6"])
 def test_it_turns_and_stops_the_rotor(firmware: str, gear_ratio: float) -> None:
-    with running(variant(firmware=firmware, gear_ratio=gear_ratio)) as bench:
-        bench.runs(200.0)
-        assert bench.drive.actual_rpm == pytest.approx(bench.rpm, abs=2.0)
-        assert bench.drive.stop() is True
-        bench.end()
-        assert abs(bench.rpm) < 1.0
-        bench.time.pass_time(1.0)
-        assert bench.axis.facts()["drive"] == "FAULT", "the watchdog of an axis without host expires"
-        assert "emergency" not in bench.kinds()
-        assert wire.ESTOP not in bench.commands()
-        assert wire.ADDRESS not in bench.commands()
+    bench = Bench(variant(firmware=firmware, gear_ratio=gear_ratio))
+    bench.runs(200.0)
+    assert bench.drive.actual_rpm == pytest.approx(bench.rpm, abs=2.0)
+    assert bench.drive.stop() is True
+    bench.end()
+    assert abs(bench.rpm) < 1.0
+    bench.clock.wait(1.0)
+    assert bench.axis.facts()["drive"] == "FAULT", "the watchdog of an axis without host expires"
+    assert "emergency" not in bench.kinds()
+    assert wire.ESTOP not in bench.commands()
+    assert wire.ADDRESS not in bench.commands()
 
 
 def test_the_watchdog_removes_the_torque_when_the_host_is_gone() -> None:
-    with running() as bench:
-        bench.runs(200.0)
-        bench.gone = True
-        bench.time.pass_time(0.45)
-        assert bench.rpm > 195.0
-        bench.time.pass_time(1.0)
-        assert bench.axis.errors[-1] == wire.WATCHDOG["0.6"]
-        assert bench.axis.state == wire.IDLE
-        assert bench.rpm < 190.0
-        with pytest.raises(LinkLost):
-            bench.drive.stop()
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    bench.gone = True
+    bench.clock.wait(0.45)
+    assert bench.rpm > 195.0
+    bench.clock.wait(1.0)
+    assert bench.axis.errors[-1] == wire.WATCHDOG["0.6"]
+    assert bench.axis.state == wire.IDLE
+    assert bench.rpm < 190.0
+    with pytest.raises(LinkLost):
+        bench.drive.stop()
 
 
 @pytest.mark.parametrize("firmware", ["0.5", "0.6"])
 def test_a_controller_whose_watchdog_is_off_is_not_enabled(firmware: str) -> None:
-    with running(variant(firmware=firmware, proves_watchdog=True)) as bench:
-        bench.far = SimulatedOdrive(axis(firmware=firmware), bench.motion, watchdog_s=0.0)
-        bench.begin()
-        bench.time.pass_time(1.0)
-        with pytest.raises(DeviceError, match="watchdog has not expired"):
-            bench.drive.enable()
-        assert wire.AXIS_STATE not in bench.commands()
+    bench = Bench(variant(firmware=firmware, proves_watchdog=True))
+    bench.far = SimulatedOdrive(axis(firmware=firmware), bench.motion, watchdog_s=0.0)
+    bench.begin()
+    bench.clock.wait(1.0)
+    with pytest.raises(DeviceError, match="watchdog has not expired"):
+        bench.drive.enable()
+    assert wire.AXIS_STATE not in bench.commands()
 
 
 def test_an_error_while_it_drives_drops_the_drive_out_and_names_the_cause() -> None:
-    with running(variant(firmware="0.5")) as bench:
-        bench.runs(200.0)
-        bench.far.fail("fault", 0x40)
-        bench.time.pass_time(0.5)
-        assert bench.drive.dropped_out == "FAULT"
-        assert not bench.drive.enabled
-        assert "motor failed" in bench.drive.why()
-        assert "motor_error 0x100000" in bench.drive.why()
-        assert bench.drive.fault_code() == 0x40
-        assert bench.kinds().count("emergency") == 1
-        with pytest.raises(DeviceError, match="motor failed"):
-            bench.drive.enable()
-        assert bench.drive.mode is Mode.BRAKE
-        assert bench.drive.stop() is True
+    bench = Bench(variant(firmware="0.5"))
+    bench.runs(200.0)
+    bench.far.fail("fault", 0x40)
+    bench.clock.wait(0.5)
+    assert bench.drive.dropped_out == "FAULT"
+    assert not bench.drive.enabled
+    assert "motor failed" in bench.drive.why()
+    assert "motor_error 0x100000" in bench.drive.why()
+    assert bench.drive.fault_code() == 0x40
+    assert bench.kinds().count("emergency") == 1
+    with pytest.raises(DeviceError, match="motor failed"):
+        bench.drive.enable()
+    assert bench.drive.mode is Mode.BRAKE
+    assert bench.drive.stop() is True
 
 
 def test_a_restart_while_it_drives_drops_the_drive_out() -> None:
-    with running(variant(firmware="0.5")) as bench:
-        bench.runs(200.0)
-        bench.far.fail("restart", 1)
-        bench.time.pass_time(0.5)
-        assert bench.drive.dropped_out == "RESTARTED"
-        assert "restart" in bench.kinds()
-        bench.time.pass_time(8.0)
-        bench.drive.stop()
-        bench.time.pass_time(1.0)
-        bench.drive.start()
-        bench.drive.enable()
-        assert bench.drive.enabled
+    bench = Bench(variant(firmware="0.5"))
+    bench.runs(200.0)
+    bench.far.fail("restart", 1)
+    bench.clock.wait(0.5)
+    assert bench.drive.dropped_out == "RESTARTED"
+    assert "restart" in bench.kinds()
+    bench.clock.wait(8.0)
+    bench.drive.stop()
+    bench.clock.wait(1.0)
+    bench.drive.start()
+    bench.drive.enable()
+    assert bench.drive.enabled
 
 
 def test_power_loss_ends_the_drive_and_its_reports() -> None:
-    with running() as bench:
-        bench.runs(200.0)
-        bench.far.power(False, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        assert math.isnan(bench.drive.actual_rpm)
-        assert bench.drive.state == "UNKNOWN"
-        bench.far.power(True, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        assert bench.axis.state == wire.IDLE
-        assert bench.drive.dropped_out == "RESTARTED"
-        assert "restart" in bench.kinds()
-        assert bench.rpm < 200.0
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    bench.far.power(False, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    assert math.isnan(bench.drive.actual_rpm)
+    assert bench.drive.state == "UNKNOWN"
+    bench.far.power(True, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    assert bench.axis.state == wire.IDLE
+    assert bench.drive.dropped_out == "RESTARTED"
+    assert "restart" in bench.kinds()
+    assert bench.rpm < 200.0
 
 
 @pytest.mark.parametrize("fault", ["silent reports", "silent heartbeat"])
 def test_reports_that_are_too_old_are_not_used(fault: str) -> None:
-    with running() as bench:
-        bench.runs(200.0)
-        bench.far.fail(fault, 1)
-        bench.time.pass_time(0.7)
-        assert not bench.drive.enabled
-        assert math.isnan(bench.drive.actual_rpm) is (fault == "silent reports")
-        assert (bench.drive.state == "UNKNOWN") is (fault == "silent heartbeat")
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    bench.far.fail(fault, 1)
+    bench.clock.wait(0.7)
+    assert not bench.drive.enabled
+    assert math.isnan(bench.drive.actual_rpm) is (fault == "silent reports")
+    assert (bench.drive.state == "UNKNOWN") is (fault == "silent heartbeat")
 
 
 def test_an_axis_without_heartbeat_is_stopped_although_its_estimates_go_on() -> None:
     """Its channel is not silent; its errors and its watchdog are not seen."""
-    with running() as bench:
-        bench.runs(200.0)
-        bench.far.fail("silent heartbeat", 1)
-        bench.time.pass_time(0.8)
-        assert bench.drive.dropped_out is None
-        bench.time.pass_time(0.5)
-        assert bench.drive.dropped_out == "UNKNOWN (no heartbeat for 100 estimates)"
-        bench.time.pass_time(1.0)
-        assert abs(bench.rpm) < 1.0
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    bench.far.fail("silent heartbeat", 1)
+    bench.clock.wait(0.8)
+    assert bench.drive.dropped_out is None
+    bench.clock.wait(0.5)
+    assert bench.drive.dropped_out == "UNKNOWN (no heartbeat for 100 estimates)"
+    bench.clock.wait(1.0)
+    assert abs(bench.rpm) < 1.0
 
 
 def test_a_runaway_rotor_loses_its_torque() -> None:
-    with running() as bench:
-        bench.runs(200.0)
-        bench.far.fail("speed", 600.0)
-        bench.time.pass_time(1.0)
-        assert bench.drive.stop() is True
-        assert wire.ESTOP in bench.commands()
-        assert bench.axis.state == wire.IDLE
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    bench.far.fail("speed", 600.0)
+    bench.clock.wait(1.0)
+    assert bench.drive.stop() is True
+    assert wire.ESTOP in bench.commands()
+    assert bench.axis.state == wire.IDLE
 
 
 def test_a_release_that_no_heartbeat_confirms_is_an_error() -> None:
-    with running() as bench:
-        bench.runs(100.0)
-        bench.drive.quick_stop()
-        bench.time.pass_time(1.0)
-        bench.far.fail("deaf", 1)
-        with pytest.raises(DeviceError, match="not confirmed"):
-            bench.drive.disable()
+    bench = Bench(DRIVER)
+    bench.runs(100.0)
+    bench.drive.quick_stop()
+    bench.clock.wait(1.0)
+    bench.far.fail("deaf", 1)
+    with pytest.raises(DeviceError, match="not confirmed"):
+        bench.drive.disable()
 
 
 def test_a_stop_is_sent_to_a_controller_that_does_not_answer() -> None:
-    with running() as bench:
-        bench.runs(200.0)
-        for what in ("silent reports", "silent heartbeat"):
-            bench.far.fail(what, 1)
-        bench.time.pass_time(1.0)
-        messages: list[str] = []
-        assert bench.drive.stop(messages.append) is False
-        assert "not confirmed" in messages[-1]
-        assert abs(bench.rpm) < 1.0
+    bench = Bench(DRIVER)
+    bench.runs(200.0)
+    for what in ("silent reports", "silent heartbeat"):
+        bench.far.fail(what, 1)
+    bench.clock.wait(1.0)
+    messages: list[str] = []
+    assert bench.drive.stop(messages.append) is False
+    assert "not confirmed" in messages[-1]
+    assert abs(bench.rpm) < 1.0
 
 
 def test_no_speed_is_sent_that_is_not_permitted() -> None:
-    with running() as bench:
-        bench.runs(100.0)
-        bench.refuse = ProcedureError("no")
-        with pytest.raises(ProcedureError):
-            bench.drive.set_speed(300.0)
-        bench.time.pass_time(1.0)
-        assert bench.rpm == pytest.approx(100.0, rel=0.01)
-        assert 300.0 in bench.permitted
+    bench = Bench(DRIVER)
+    bench.runs(100.0)
+    bench.refuse = ProcedureError("no")
+    with pytest.raises(ProcedureError):
+        bench.drive.set_speed(300.0)
+    bench.clock.wait(1.0)
+    assert bench.rpm == pytest.approx(100.0, rel=0.01)
+    assert 300.0 in bench.permitted
 
 
 def test_a_second_host_is_a_fault() -> None:
-    with running() as bench:
-        bench.runs(100.0)
-        bench.far.fail("second host", 1)
-        bench.time.pass_time(0.5)
-        assert "fault" in bench.kinds()
+    bench = Bench(DRIVER)
+    bench.runs(100.0)
+    bench.far.fail("second host", 1)
+    bench.clock.wait(0.5)
+    assert "fault" in bench.kinds()
 
 
 # --- opening and playing ----------------------------------------------------------------------------------------
 
 
 def test_the_identity_contains_the_serial_number() -> None:
-    with running(variant(serial="3D1E4C6A2B39")) as bench:
-        bench.begin()
-        assert bench.identity["serial"] == "3D1E4C6A2B39"
-        assert bench.identity["firmware"] == "0.6.10"
-    with running(variant(firmware="0.5")) as bench:
-        bench.begin()
-        assert bench.identity["serial"] == ""
+    bench = Bench(variant(serial="3D1E4C6A2B39"))
+    bench.begin()
+    assert bench.identity["serial"] == "3D1E4C6A2B39"
+    assert bench.identity["firmware"] == "0.6.10"
+    bench = Bench(variant(firmware="0.5"))
+    bench.begin()
+    assert bench.identity["serial"] == ""
 
 
 def nothing(bench: Bench) -> None:
@@ -519,15 +511,15 @@ def other_firmware(bench: Bench) -> None:
 def test_firmware_0_5_never_gets_a_request_of_the_address() -> None:
     """With firmware 0.5 the command 06h changes the node's number."""
     sent: list[bytes] = []
-    with running(variant(firmware="0.5")) as bench:
-        receive = bench.far.receive
+    bench = Bench(variant(firmware="0.5"))
+    receive = bench.far.receive
 
-        def listen(data: bytes, now_s: float) -> bytes:
-            sent.append(data)
-            return receive(data, now_s)
+    def listen(data: bytes, now_s: float) -> bytes:
+        sent.append(data)
+        return receive(data, now_s)
 
-        bench.far.receive = listen
-        bench.runs(100.0)
+    bench.far.receive = listen
+    bench.runs(100.0)
     frames = decode(b"".join(sent)).frames
     assert CanFrame(0x020, bytes(8), remote=True) in frames, "the request of the version"
     assert 0x026 not in [frame.arbitration_id for frame in frames]
@@ -546,10 +538,10 @@ def test_firmware_0_5_never_gets_a_request_of_the_address() -> None:
 def test_an_opening_that_fails_names_the_cause(
     settings: dict[str, Any], spoil: Callable[[Bench], None], message: str
 ) -> None:
-    with running(variant(**settings)) as bench:
-        spoil(bench)
-        with pytest.raises(DeviceError, match=message):
-            bench.begin()
+    bench = Bench(variant(**settings))
+    spoil(bench)
+    with pytest.raises(DeviceError, match=message):
+        bench.begin()
 
 
 @pytest.mark.parametrize("identity", [{}, {"firmware": "?", "hardware": "1.2.3", "serial": "xyz"}])
@@ -574,39 +566,39 @@ def test_the_kit_passes_with_firmware_0_5_and_a_gear(case: rig_testing.ContractC
 
 @pytest.mark.parametrize("ratio", [1.0, 3.0, 0.4])
 def test_its_time_out_is_measured_at_rest(ratio: float) -> None:
-    with running(variant(firmware="0.5")) as bench:
-        bench.begin()
-        bench.axis.fail("time-out", ratio)
-        bench.time.pass_time(0.3)
-        found = bench.drive.measure_time_out()
-        assert found.measured_s is not None
-        assert abs(found.measured_s - 0.5 * ratio) <= found.resolution_s
-        assert found.resolution_s < 0.2
-        assert found.stated_s == 0.5
-        assert wire.AXIS_STATE not in bench.commands()
+    bench = Bench(variant(firmware="0.5"))
+    bench.begin()
+    bench.axis.fail("time-out", ratio)
+    bench.clock.wait(0.3)
+    found = bench.drive.measure_time_out()
+    assert found.measured_s is not None
+    assert abs(found.measured_s - 0.5 * ratio) <= found.resolution_s
+    assert found.resolution_s < 0.2
+    assert found.stated_s == 0.5
+    assert wire.AXIS_STATE not in bench.commands()
 
 
 def test_a_watchdog_that_is_off_has_no_time_out() -> None:
-    with running(variant(firmware="0.5")) as bench:
-        bench.far = SimulatedOdrive(axis(firmware="0.5"), bench.motion, watchdog_s=0.0)
-        bench.begin()
-        bench.time.pass_time(0.3)
-        assert bench.drive.measure_time_out().measured_s is None
+    bench = Bench(variant(firmware="0.5"))
+    bench.far = SimulatedOdrive(axis(firmware="0.5"), bench.motion, watchdog_s=0.0)
+    bench.begin()
+    bench.clock.wait(0.3)
+    assert bench.drive.measure_time_out().measured_s is None
 
 
 def test_its_time_out_is_not_measured_while_it_drives_or_has_a_fault_or_is_not_known_to_watch() -> None:
-    with running(variant(firmware="0.5")) as bench:
-        bench.runs(100.0)
-        with pytest.raises(DeviceError, match="must stand"):
-            bench.drive.measure_time_out()
-        bench.drive.stop()
-        bench.axis.fail("fault", 0x40)
-        bench.time.pass_time(0.3)
-        with pytest.raises(DeviceError, match="without a fault"):
-            bench.drive.measure_time_out()
-        assert bench.axis.error & 0x40, "a fault is not cleared"
-    with running() as bench:
-        bench.begin()
-        bench.time.pass_time(0.3)
-        with pytest.raises(DeviceError, match="proves_watchdog"):
-            bench.drive.measure_time_out()
+    bench = Bench(variant(firmware="0.5"))
+    bench.runs(100.0)
+    with pytest.raises(DeviceError, match="must stand"):
+        bench.drive.measure_time_out()
+    bench.drive.stop()
+    bench.axis.fail("fault", 0x40)
+    bench.clock.wait(0.3)
+    with pytest.raises(DeviceError, match="without a fault"):
+        bench.drive.measure_time_out()
+    assert bench.axis.error & 0x40, "a fault is not cleared"
+    bench = Bench(DRIVER)
+    bench.begin()
+    bench.clock.wait(0.3)
+    with pytest.raises(DeviceError, match="proves_watchdog"):
+        bench.drive.measure_time_out()

@@ -316,7 +316,7 @@ def test_a_sensor_that_cannot_be_opened_is_explained(fault: str, words: str) -> 
     bench = DriverBench(DRIVER)
     assert isinstance(bench.far, SimulatedPolledLaser)
     bench.far.fail(fault, 1)
-    with bench.running(), pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=words):
         bench.begin()
 
 

@@ -12,35 +12,20 @@ from hypothesis import given, strategies as st
 from daq import channels
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import HostClock
+from daq.lockstep.clock import START_NS, SimulatedClock
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.motion import GRID_S, StepTrajectory
 from daq.virtual_rig.world import DeviceClock
-from rig_drivers.riftek import dialogue, wire
+from rig_drivers.riftek import wire
 from rig_drivers.riftek.driver import DRIVER
 from rig_drivers.riftek.far_end import SimulatedRiftek
 from rig_drivers.riftek.settings import RiftekLaser
 
-START_NS = 1_700_000_000_000_000_000
 STEP_S = 0.02
 
 
 def laser(**other: Any) -> RiftekLaser:
     return RiftekLaser(**{"driver": "riftek", "port": "loop://", "axis": "y", "rate_Hz": 4000.0} | other)
-
-
-class BenchTime(HostClock):
-    """The bench's time, as its dialogue's."""
-
-    def __init__(self, bench: Bench) -> None:
-        super().__init__()
-        self._bench = bench
-
-    def wall_s(self) -> float:
-        return self._bench.now_s
-
-    def wait(self, seconds: float) -> None:
-        self._bench.pass_time(max(seconds, STEP_S))
 
 
 class Bench:
@@ -56,15 +41,15 @@ class Bench:
         beam = Beam(np.array([0.0, 1.0]), offset_m, 0.0, DeviceClock(3.0, drift), rng)
         self.sensor = SimulatedRiftek(config, beam, "12345")
         self.pipeline = DRIVER.pipeline("laser_y", config, {})
-        self.clock = BenchTime(self)
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.clock = SimulatedClock()
+        self.replies: queue.Queue[str] = self.clock.queue()
         self.bytes_in = 0
-        self.now_s = 0.0
         self.sent: list[bytes] = []
         self.batches: list[Batch] = []
         self.events: list[DeviceEvent] = []
         self.damage: set[int] = set()  # places of answer bytes that get a bit flipped
         self._answered = 0
+        self.clock.after(STEP_S, self._step, world=True)
 
     def restart_decoding(self) -> None:
         self.pipeline = DRIVER.pipeline("laser_y", self.config, {})
@@ -73,33 +58,28 @@ class Bench:
 
     def send(self, data: bytes) -> None:
         self.sent.append(data)
-        self.pipeline.feed(TX, data, self.now_ns)
+        self.pipeline.feed(TX, data, self.clock.now_ns())
         answer = bytearray(self.sensor.receive(data))
         for i in range(len(answer)):
             answer[i] ^= 0x01 if self._answered + i in self.damage else 0
         self._answered += len(answer)
         self._hear(bytes(answer))
 
-    @property
-    def now_ns(self) -> int:
-        return START_NS + round(self.now_s * 1e9)
-
     def motion(self, time_s: np.ndarray) -> np.ndarray:
         return 2e-3 * np.sin(20.0 * time_s)
 
-    def pass_time(self, seconds: float) -> None:
-        for _ in range(round(seconds / STEP_S)):
-            times = self.now_s + GRID_S * np.arange(round(STEP_S / GRID_S) + 1)
-            rows = np.zeros((len(times), 10))
-            rows[:, 1], rows[:, 5] = self.motion(times), 40e-3 * np.cos(20.0 * times)
-            self.now_s = float(times[-1])
-            self._hear(self.sensor.sample(StepTrajectory(times, rows)))
+    def _step(self) -> None:
+        times = self.clock.wall_s() - STEP_S + GRID_S * np.arange(round(STEP_S / GRID_S) + 1)
+        rows = np.zeros((len(times), 10))
+        rows[:, 1], rows[:, 5] = self.motion(times), 40e-3 * np.cos(20.0 * times)
+        self._hear(self.sensor.sample(StepTrajectory(times, rows)))
+        self.clock.after(STEP_S, self._step, world=True)
 
     def _hear(self, data: bytes) -> None:
         if not data:
             return
         self.bytes_in += len(data)
-        for item in self.pipeline.feed(RX, data, self.now_ns):
+        for item in self.pipeline.feed(RX, data, self.clock.now_ns()):
             if isinstance(item, Batch):
                 self.batches.append(item)
             elif item.kind == "reply":
@@ -112,15 +92,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
-    return at_bench(monkeypatch, laser())
-
-
-def at_bench(monkeypatch: pytest.MonkeyPatch, config: RiftekLaser, **other: float) -> Bench:
-    """A bench whose time is the dialogue's."""
-    found = Bench(config, **other)
-    monkeypatch.setattr(dialogue, "_ANSWER_S", 0.3)
-    return found
+def bench() -> Bench:
+    return Bench(laser())
 
 
 def test_opening_sets_it_up_and_starts_its_stream(bench: Bench) -> None:
@@ -136,16 +109,16 @@ def test_opening_sets_it_up_and_starts_its_stream(bench: Bench) -> None:
     }
     assert bench.sensor.streaming
     assert bench.sensor.period_us == 250
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     assert len(bench.column("code")) == pytest.approx(4000, abs=2)
     assert bench.events == []
     assert not any(bench.pipeline.losses.values())
 
 
-def test_samples_are_the_motion_and_their_times_the_hosts(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = at_bench(monkeypatch, laser(), drift=4e-5, offset_m=1e-3)
+def test_samples_are_the_motion_and_their_times_the_hosts() -> None:
+    bench = Bench(laser(), drift=4e-5, offset_m=1e-3)
     DRIVER.open("laser_y", bench.config, bench)
-    bench.pass_time(5.0)
+    bench.clock.wait(5.0)
     assert {batch.channel.topic for batch in bench.batches} == {channels.LASER_Y.topic}
     times = 1e-9 * (np.concatenate([batch.time_ns for batch in bench.batches]) - START_NS)
     step = 0.025 / wire.FULL_SCALE
@@ -154,20 +127,18 @@ def test_samples_are_the_motion_and_their_times_the_hosts(monkeypatch: pytest.Mo
 
 def test_a_stream_left_running_is_run_dry_first(bench: Bench) -> None:
     bench.sensor.receive(wire.request(0, wire.START))
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert bench.batches
     assert DRIVER.open("laser_y", bench.config, bench)["range_m"] == 0.025
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert bench.events == []
     assert bench.column("counter")[-1] == pytest.approx(2000, abs=2)
 
 
 @pytest.mark.parametrize("rate_Hz", [10_000.0, 4000.0, 1000.0, 250.0, 40.0, 16.0])
 @pytest.mark.parametrize("before", [100, 255, 256, 5000, 65_535])
-def test_the_period_is_set_from_any_previous_value(
-    monkeypatch: pytest.MonkeyPatch, rate_Hz: float, before: int
-) -> None:
-    bench = at_bench(monkeypatch, laser(rate_Hz=rate_Hz))
+def test_the_period_is_set_from_any_previous_value(rate_Hz: float, before: int) -> None:
+    bench = Bench(laser(rate_Hz=rate_Hz))
     bench.sensor.parameters |= {wire.PERIOD: before & 0xFF, wire.PERIOD + 1: before >> 8}
     DRIVER.open("laser_y", bench.config, bench)
     assert bench.sensor.period_us == bench.config.period_us
@@ -210,8 +181,8 @@ def test_a_parameter_that_does_not_stay_as_written_raises(bench: Bench, monkeypa
         DRIVER.open("laser_y", bench.config, bench)
 
 
-def test_a_sensor_of_another_address_is_refused_but_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = at_bench(monkeypatch, laser(address=7))
+def test_a_sensor_of_another_address_is_refused_but_stopped() -> None:
+    bench = Bench(laser(address=7))
     other = SimulatedRiftek(laser(address=9), Beam.unmoved(), "1")
     bench.sensor = other
     other.receive(wire.request(9, wire.START))
@@ -240,16 +211,16 @@ def test_stop_always_works(bench: Bench, rest: bytes) -> None:
     DRIVER.stop(bench.config, bench)
     assert not bench.sensor.streaming
     before = bench.bytes_in
-    bench.pass_time(0.1)
+    bench.clock.wait(0.1)
     assert bench.bytes_in == before
 
 
 @pytest.mark.parametrize("lost", [1, 3, 300])
 def test_lost_results_are_counted(bench: Bench, lost: int) -> None:
     DRIVER.open("laser_y", bench.config, bench)
-    bench.pass_time(3.0)
+    bench.clock.wait(3.0)
     bench.sensor.fail("lost", lost)
-    bench.pass_time(3.0)
+    bench.clock.wait(3.0)
     assert bench.pipeline.losses["samples"] == lost
     assert bench.column("counter")[-1] == pytest.approx(24_000, abs=2)
 
@@ -259,17 +230,17 @@ def test_faults_of_the_sensor_show(bench: Bench) -> None:
     for what, value in (("code", 0), ("code", 16_384), ("code", -1), ("stale", 1), ("stale", 0)):
         bench.batches.clear()
         bench.sensor.fail(what, value)
-        bench.pass_time(0.2)
+        bench.clock.wait(0.2)
         valid = np.isfinite(bench.column("displacement_m"))
         assert valid.all() if (what, value) in (("code", -1), ("stale", 0)) else not valid[1:].any()
     with pytest.raises(ValueError, match="no fault 'dance'"):
         bench.sensor.fail("dance")
 
 
-def test_out_of_range_is_no_target(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = at_bench(monkeypatch, laser(), offset_m=0.0125)
+def test_out_of_range_is_no_target() -> None:
+    bench = Bench(laser(), offset_m=0.0125)
     DRIVER.open("laser_y", bench.config, bench)
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert 0.3 < np.mean(np.isnan(bench.column("displacement_m"))) < 0.7
 
 

@@ -385,29 +385,27 @@ def test_a_sensor_with_a_check_passes_the_tests_of_drivers(case: rig_testing.Con
 )
 def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, kind: str) -> None:
     bench = DriverBench(DRIVER)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(0.5)
-        bench.far.fail(fault, value)
-        bench.time.pass_time(1.0)
-        losses = {name: count for name, count in bench.pipeline.losses.items() if count}
-        assert set(losses) == {kind} - {""}
-        assert losses.get("samples", 3 * 168) == 3 * 168
-        bench.far.fail("other", 9)
-        bench.time.pass_time(1.5)
-        assert "got packets of sensor 9" in str(getattr(bench.pipeline, "complaint", ""))
-        with pytest.raises(ValueError, match="no fault 'x'"):
-            bench.far.fail("x", math.nan)
+    bench.begin()
+    bench.clock.wait(0.5)
+    bench.far.fail(fault, value)
+    bench.clock.wait(1.0)
+    losses = {name: count for name, count in bench.pipeline.losses.items() if count}
+    assert set(losses) == {kind} - {""}
+    assert losses.get("samples", 3 * 168) == 3 * 168
+    bench.far.fail("other", 9)
+    bench.clock.wait(1.5)
+    assert "got packets of sensor 9" in str(getattr(bench.pipeline, "complaint", ""))
+    with pytest.raises(ValueError, match="no fault 'x'"):
+        bench.far.fail("x", math.nan)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sensor_without_supply_starts_again(seed: int) -> None:
     bench = DriverBench(DRIVER, seed=seed)
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(1.0)
-        bench.far.power(False, bench.motion.time_s)
-        bench.time.pass_time(1.5)
-        bench.far.power(True, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        assert set(kinds(bench.items)) & {"restart", "gap"}
+    bench.begin()
+    bench.clock.wait(1.0)
+    bench.far.power(False, bench.motion.time_s)
+    bench.clock.wait(1.5)
+    bench.far.power(True, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    assert set(kinds(bench.items)) & {"restart", "gap"}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -352,21 +350,14 @@ def variant(**settings: Any) -> Driver:
     return replace(DRIVER, example={**DRIVER.example, **settings})
 
 
-@contextmanager
-def running(driver: Driver = DRIVER) -> Generator[DriverBench]:
-    bench = DriverBench(driver)
-    with bench.running():
-        yield bench
-
-
 def runs(bench: DriverBench, rpm: float) -> None:
     bench.begin()
-    bench.time.pass_time(0.3)
+    bench.clock.wait(0.3)
     assert bench.control is not None
     bench.control.set_ramp(400.0)
     bench.control.enable()
     bench.control.set_speed(rpm)
-    bench.time.pass_time(abs(rpm) / 400.0 + 0.5)
+    bench.clock.wait(abs(rpm) / 400.0 + 0.5)
     assert rpm_of(bench) == pytest.approx(rpm, rel=0.01)
 
 
@@ -376,90 +367,90 @@ def rpm_of(bench: DriverBench) -> float:
 
 @pytest.mark.parametrize("status_Hz", [0.0, 100.0])
 def test_it_turns_and_stops_the_rotor(status_Hz: float) -> None:
-    with running(variant(status_Hz=status_Hz)) as bench:
-        runs(bench, 200.0)
-        assert bench.control is not None
-        assert bench.control.actual_rpm == pytest.approx(rpm_of(bench), abs=2.0)
-        assert bench.control.stop() is True
-        bench.end()
-        assert abs(rpm_of(bench)) < 1.0
-        assert bench.reads[-1][:2] != (RX, b"")
-        assert any(data == CLOSE_BUS for _, data, _ in bench.reads)
+    bench = DriverBench(variant(status_Hz=status_Hz))
+    runs(bench, 200.0)
+    assert bench.control is not None
+    assert bench.control.actual_rpm == pytest.approx(rpm_of(bench), abs=2.0)
+    assert bench.control.stop() is True
+    bench.end()
+    assert abs(rpm_of(bench)) < 1.0
+    assert bench.reads[-1][:2] != (RX, b"")
+    assert any(data == CLOSE_BUS for _, data, _ in bench.reads)
 
 
 def test_the_timeout_stops_the_rotor_when_the_host_is_gone() -> None:
-    with running() as bench:
-        runs(bench, 200.0)
-        bench.gone = True
-        bench.time.pass_time(0.9)
-        assert rpm_of(bench) > 195.0
-        bench.time.pass_time(1.0)
-        assert abs(rpm_of(bench)) < 1.0
-        assert bench.control is not None
-        with pytest.raises(LinkLost):
-            bench.control.stop()
+    bench = DriverBench(DRIVER)
+    runs(bench, 200.0)
+    bench.gone = True
+    bench.clock.wait(0.9)
+    assert rpm_of(bench) > 195.0
+    bench.clock.wait(1.0)
+    assert abs(rpm_of(bench)) < 1.0
+    assert bench.control is not None
+    with pytest.raises(LinkLost):
+        bench.control.stop()
 
 
 def test_a_fault_while_it_drives_drops_the_drive_out() -> None:
-    with running() as bench:
-        runs(bench, 200.0)
-        bench.far.fail("fault", 4)
-        bench.time.pass_time(0.3)
-        assert bench.control is not None
-        assert bench.control.dropped_out == "FAULT"
-        assert "over-current" in bench.control.why()
-        assert "emergency" in kinds(bench.items)
+    bench = DriverBench(DRIVER)
+    runs(bench, 200.0)
+    bench.far.fail("fault", 4)
+    bench.clock.wait(0.3)
+    assert bench.control is not None
+    assert bench.control.dropped_out == "FAULT"
+    assert "over-current" in bench.control.why()
+    assert "emergency" in kinds(bench.items)
 
 
 def test_status_messages_alone_do_not_replace_answers() -> None:
-    with running() as bench:
-        runs(bench, 200.0)
-        bench.far.fail("silent reports", 1)
-        bench.time.pass_time(0.7)
-        assert bench.control is not None
-        assert math.isnan(bench.control.actual_rpm)
-        assert not bench.control.enabled
+    bench = DriverBench(DRIVER)
+    runs(bench, 200.0)
+    bench.far.fail("silent reports", 1)
+    bench.clock.wait(0.7)
+    assert bench.control is not None
+    assert math.isnan(bench.control.actual_rpm)
+    assert not bench.control.enabled
 
 
 def test_power_loss_and_a_second_host_are_reported() -> None:
-    with running() as bench:
-        runs(bench, 200.0)
-        bench.far.fail("second host", 1)
-        bench.time.pass_time(0.1)
-        assert "fault" in kinds(bench.items)
-        bench.far.fail("second host", 0)
-        bench.far.power(False, bench.motion.time_s)
-        bench.time.pass_time(1.0)
-        bench.far.power(True, bench.motion.time_s)
-        bench.time.pass_time(0.3)
-        assert "restart" in kinds(bench.items)
-        assert bench.control is not None
-        assert bench.control.dropped_out is not None
+    bench = DriverBench(DRIVER)
+    runs(bench, 200.0)
+    bench.far.fail("second host", 1)
+    bench.clock.wait(0.1)
+    assert "fault" in kinds(bench.items)
+    bench.far.fail("second host", 0)
+    bench.far.power(False, bench.motion.time_s)
+    bench.clock.wait(1.0)
+    bench.far.power(True, bench.motion.time_s)
+    bench.clock.wait(0.3)
+    assert "restart" in kinds(bench.items)
+    assert bench.control is not None
+    assert bench.control.dropped_out is not None
 
 
 def test_a_release_without_answer_is_an_error() -> None:
-    with running() as bench:
-        runs(bench, 200.0)
-        assert bench.control is not None
-        bench.control.quick_stop()
-        bench.time.pass_time(0.5)
-        bench.far.fail("silent reports", 1)
-        with pytest.raises(DeviceError, match="not confirmed"):
-            bench.control.disable()
+    bench = DriverBench(DRIVER)
+    runs(bench, 200.0)
+    assert bench.control is not None
+    bench.control.quick_stop()
+    bench.clock.wait(0.5)
+    bench.far.fail("silent reports", 1)
+    with pytest.raises(DeviceError, match="not confirmed"):
+        bench.control.disable()
 
 
 def test_a_controller_that_does_not_answer_is_explained() -> None:
-    with running() as bench:
-        bench.far.power(False, 0.0)
-        with pytest.raises(DeviceError, match=r"its CAN mode VESC, are its number \(23\)"):
-            bench.begin()
+    bench = DriverBench(DRIVER)
+    bench.far.power(False, 0.0)
+    with pytest.raises(DeviceError, match=r"its CAN mode VESC, are its number \(23\)"):
+        bench.begin()
 
 
 def test_an_error_of_the_opening_names_what_is_on_the_bus() -> None:
-    with running(variant(controller_id=24)) as bench:
-        bench.far = SimulatedVescCan.of("motor", controller(), bench.world)
-        with pytest.raises(DeviceError, match=r"in 3 tries, but status messages of controller 23\. Is the controller"):
-            bench.begin()
+    bench = DriverBench(variant(controller_id=24))
+    bench.far = SimulatedVescCan.of("motor", controller(), bench.world)
+    with pytest.raises(DeviceError, match=r"in 3 tries, but status messages of controller 23\. Is the controller"):
+        bench.begin()
 
 
 def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
@@ -467,27 +458,27 @@ def test_an_adapter_that_does_not_open_the_bus_is_named() -> None:
         def receive(self, data: bytes, now_s: float) -> bytes:
             return adapter_message(AdapterMessage.OPEN_REFUSED)
 
-    with running() as bench:
-        bench.far = Refusing.of("motor", controller(), bench.world)
-        bench.far.power(False, 0.0)
-        with pytest.raises(DeviceError, match="but the adapter refused to open the bus"):
-            bench.begin()
+    bench = DriverBench(DRIVER)
+    bench.far = Refusing.of("motor", controller(), bench.world)
+    bench.far.power(False, 0.0)
+    with pytest.raises(DeviceError, match="but the adapter refused to open the bus"):
+        bench.begin()
 
 
 @pytest.mark.parametrize(
     ("set_Hz", "stated_Hz", "fine"), [(50, 50, True), (100, 50, False), (0, 50, False), (0, 0, True)]
 )
 def test_the_rate_of_the_status_messages_is_checked(set_Hz: float, stated_Hz: float, fine: bool) -> None:
-    with running(variant(status_Hz=stated_Hz)) as bench:
-        bench.far = SimulatedVescCan.of("motor", controller(status_Hz=set_Hz), bench.world)
-        bench.begin()
-        bench.time.pass_time(3.0)
-        check = DRIVER.checks(controller(status_Hz=stated_Hz), bench.pipeline, bench.control, [])["status_Hz"]
-        assert check.value == pytest.approx(set_Hz, rel=0.1)
-        assert check.passed is fine
-        assert ("CAN Status Messages Rate 1" in check.note) is not fine
-        by_default = DRIVER.checks(controller(), bench.pipeline, bench.control, [])["status_Hz"]
-        assert by_default.passed is (set_Hz != 100), "without status_Hz in the rig file they may be off"
+    bench = DriverBench(variant(status_Hz=stated_Hz))
+    bench.far = SimulatedVescCan.of("motor", controller(status_Hz=set_Hz), bench.world)
+    bench.begin()
+    bench.clock.wait(3.0)
+    check = DRIVER.checks(controller(status_Hz=stated_Hz), bench.pipeline, bench.control, [])["status_Hz"]
+    assert check.value == pytest.approx(set_Hz, rel=0.1)
+    assert check.passed is fine
+    assert ("CAN Status Messages Rate 1" in check.note) is not fine
+    by_default = DRIVER.checks(controller(), bench.pipeline, bench.control, [])["status_Hz"]
+    assert by_default.passed is (set_Hz != 100), "without status_Hz in the rig file they may be off"
 
 
 @pytest.mark.parametrize("identity", [{}, {"firmware": "5.03", "hardware": "H", "serial": "00" * 12}])

@@ -11,21 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.drivers.rotorlink import locks as node_locks
 from daq.drivers.rotorlink.far_end import Air
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.transports import HostClock
+from daq.lockstep.clock import SimulatedClock
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock
 from rig_configs import load_rig
 from rig_configs.schema import Radio
-from rig_drivers.xbee import dialogue, framing, wire
+from rig_drivers.xbee import framing, wire
 from rig_drivers.xbee.driver import DRIVER
 from rig_drivers.xbee.far_end import SimulatedXBeeNode
 from rig_drivers.xbee.settings import XBeeNode
 
-START_NS = 1_700_000_000_000_000_000
 STEP_S = 0.05
 
 NODE, OWN = "0013A20041AEB54E", "0013A20040522BAA"
@@ -44,7 +42,7 @@ def settings(**changed: Any) -> XBeeNode:
 
 
 class Bench:
-    """Far end, pipeline and locks in one thread: everything sent is answered before `send` returns. Also a Talk."""
+    """Far end, pipeline and locks on simulated time, in one thread. Also a Talk."""
 
     def __init__(self, config: XBeeNode, air: Radio = CLEAR_AIR, host: XBeeNode | None = None) -> None:
         rig = load_rig("virtual")
@@ -56,13 +54,14 @@ class Bench:
         )
         self.identity: dict[str, Any] = {}
         self.restart_decoding()
-        self.clock = HostClock()
+        self.clock = SimulatedClock()
         self.locks = DRIVER.locks(self.config, self.send, self.clock)
         self.raw: list[tuple[int, bytes, int]] = []
         self.found: list[Batch | DeviceEvent] = []
-        self.replies: queue.Queue[str] = queue.Queue()
+        self.replies: queue.Queue[str] = self.clock.queue()
         self.bytes_in = 0
         self.deaf = False
+        self.clock.after(STEP_S, self._step, world=True)
 
     def restart_decoding(self) -> None:
         self.pipeline = DRIVER.pipeline("encoder", self.config, self.identity)
@@ -71,19 +70,17 @@ class Bench:
         self._feed(TX, data)
         if not self.deaf:
             self.far.receive(data, self.motion.time_s)
-        self.pass_time(0.1)
 
-    def pass_time(self, seconds: float) -> None:
-        end = self.motion.time_s + seconds
-        while self.motion.time_s < end - 1e-9:
-            self.far.step(self.motion.time_s)
-            stretch = self.motion.advance(self.motion.time_s + STEP_S)
-            assert stretch is not None
-            self.far.put_on_air(stretch)
-            self._feed(RX, self.far.dongle(self.motion.time_s))
+    def _step(self) -> None:
+        self.far.step(self.motion.time_s)
+        stretch = self.motion.advance(self.clock.wall_s())
+        assert stretch is not None
+        self.far.put_on_air(stretch)
+        self._feed(RX, self.far.dongle(self.motion.time_s))
+        self.clock.after(STEP_S, self._step, world=True)
 
     def _feed(self, direction: int, data: bytes) -> None:
-        host_ns = START_NS + round(self.motion.time_s * 1e9)
+        host_ns = self.clock.now_ns()
         self.raw.append((direction, data, host_ns))
         self.bytes_in += len(data) if direction == RX else 0
         for item in self.pipeline.feed(direction, data, host_ns):
@@ -106,20 +103,13 @@ def no_check() -> None:
     """Nothing ends the wait."""
 
 
-@pytest.fixture(autouse=True)
-def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dialogue, "_ANSWER_S", 0.002)
-    monkeypatch.setattr(node_locks, "_TRY_S", 0.002)
-    monkeypatch.setattr(node_locks, "_CHECK_S", 0.001)
-
-
 # --- opening ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_module_is_identified(kind: dict[str, Any]) -> None:
     bench = Bench(settings(**kind))
-    bench.pass_time(0.2)
+    bench.clock.wait(0.2)
     identity = DRIVER.open("encoder", bench.config, bench)
     assert identity == {
         "api_mode": bench.config.api_mode,
@@ -136,7 +126,7 @@ def test_the_module_is_identified(kind: dict[str, Any]) -> None:
 @pytest.mark.parametrize("mode", [1, 2])
 def test_a_module_in_the_other_mode_is_named(mode: int) -> None:
     bench = Bench(settings(api_mode=3 - mode), host=settings(api_mode=mode))
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     with pytest.raises(DeviceError, match=f"in API mode AP={3 - mode}, the rig file states {mode}"):
         DRIVER.open("encoder", bench.config, bench)
 
@@ -196,7 +186,7 @@ def test_samples_are_the_nodes(kind: dict[str, Any]) -> None:
     bench = Bench(settings(**kind))
     bench.motion.target_rad_s = 30.0
     bench.motion.ramp_rad_s2 = 200.0
-    bench.pass_time(2.0)
+    bench.clock.wait(2.0)
     index = bench.column("pendulums", "index")
     assert np.array_equal(index, np.arange(len(index)))
     assert len(index) >= 450
@@ -212,14 +202,14 @@ def test_samples_are_the_nodes(kind: dict[str, Any]) -> None:
 def test_every_type_of_receive_frame(kind: int) -> None:
     bench = Bench(settings())
     bench.far.receive_type = kind
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert len(bench.column("pendulums", "index")) >= 90
     assert bench.pipeline.rssi_dBm == (-58 if kind == 0x80 else None)
 
 
 def test_what_the_air_loses_is_counted_exactly() -> None:
     bench = Bench(settings(rate_Hz=1000), Radio(burst_start=0.05))
-    bench.pass_time(4.0)
+    bench.clock.wait(4.0)
     dropped = [number for number in bench.air.dropped if number < bench.air.last_delivered]
     assert len(dropped) > 10
     assert 0 not in dropped
@@ -234,7 +224,7 @@ def test_the_bytes_of_a_run_decoded_again_give_the_same() -> None:
     with contextlib.suppress(DeviceError):
         bench.locks.command("release both", no_check)
     bench.far.fail("foreign", 3)
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     again = DRIVER.pipeline("encoder", bench.config, bench.identity)
     found = [item for raw in bench.raw for item in again.feed(*raw)]
     assert len(found) == len(bench.found) > 20
@@ -250,9 +240,9 @@ def test_the_bytes_of_a_run_decoded_again_give_the_same() -> None:
 
 def test_a_module_that_restarts_is_an_event_and_its_lost_frames_are_counted() -> None:
     bench = Bench(settings(), Radio(burst_start=0.0, delay_s=0.2))
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     bench.far.fail("module restart", 1)
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     assert len(bench.air.dropped) > 2
     assert bench.pipeline.losses["radio_frames"] == len(bench.air.dropped)
     assert ["watchdog" in text for text in bench.texts("modem")] == [True]
@@ -263,7 +253,7 @@ def test_a_module_that_restarts_is_an_event_and_its_lost_frames_are_counted() ->
 def test_another_node_in_the_air_adds_nothing(kind: dict[str, Any]) -> None:
     bench = Bench(settings(**kind))
     bench.far.fail("foreign", 5)
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert len(bench.column("tacho", "revolutions")) == 0
     assert bench.pipeline.losses["foreign_frames"] == 5
     assert len(bench.texts("foreign")) == 1
@@ -273,11 +263,11 @@ def test_faults_reach_the_node() -> None:
     bench = Bench(settings())
     bench.far.fail("flags", 1)
     bench.far.fail("marks lost", 1)
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert np.all(bench.column("pendulums", "flags").astype(int) & 1)
     bench.far.fail("dead", 1)
     seen = len(bench.column("pendulums", "flags"))
-    bench.pass_time(0.5)
+    bench.clock.wait(0.5)
     assert len(bench.column("pendulums", "flags")) - seen <= 10
     with pytest.raises(ValueError, match="no fault 'gone'"):
         bench.far.fail("gone", 1)
@@ -290,11 +280,11 @@ def test_faults_reach_the_node() -> None:
 def test_pendulums_are_released_and_locked(kind: dict[str, Any]) -> None:
     bench = Bench(settings(**kind))
     bench.locks.command("release both", no_check)
-    bench.pass_time(0.2)
+    bench.clock.wait(0.2)
     assert bench.texts("lock") == ["pendulum A released", "pendulum B released"]
     bench.locks.command("lock both", no_check)
     bench.locks.command("zero", no_check)
-    bench.pass_time(2.0)
+    bench.clock.wait(2.0)
     assert bench.texts("lock")[-2:] == ["pendulum A locked", "pendulum B locked"]
     assert bench.texts("acknowledge") == [text for text in bench.texts("acknowledge") if text.endswith("accepted")]
 
@@ -302,9 +292,9 @@ def test_pendulums_are_released_and_locked(kind: dict[str, Any]) -> None:
 def test_a_refusal_is_the_nodes_word() -> None:
     bench = Bench(settings())
     bench.locks.command("release A", no_check)
-    bench.pass_time(0.2)
+    bench.clock.wait(0.2)
     bench.motion.target_rad_s, bench.motion.ramp_rad_s2 = 30.0, 200.0
-    bench.pass_time(1.0)
+    bench.clock.wait(1.0)
     with pytest.raises(DeviceError, match="refused: rotor turning"):
         bench.locks.command("lock A", no_check)
 
@@ -346,7 +336,7 @@ def command(answer: Callable[[Any, int, int], None], tries: list[int]) -> None:
         tries.append(data[4])
         answer(locks, data[4], int.from_bytes(data[19:21], "little"))
 
-    locks = DRIVER.locks(settings(api_mode=1), send, HostClock())
+    locks = DRIVER.locks(settings(api_mode=1), send, SimulatedClock())
     locks.command("release both", no_check)
 
 
@@ -408,7 +398,7 @@ def test_a_command_is_not_blamed_for_the_one_before() -> None:
             locks.heard(acknowledged(0, seqs[-1]))
         locks.heard(undelivered(1))
 
-    locks = DRIVER.locks(settings(api_mode=1), send, HostClock())
+    locks = DRIVER.locks(settings(api_mode=1), send, SimulatedClock())
     locks.command("release A", no_check)
     locks._failed = "radio frame 0: long ago"
     locks.command("release B", no_check)
@@ -427,7 +417,7 @@ def test_the_wait_can_be_ended() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        DRIVER.locks(settings(), lambda data: None, HostClock()).command("lock A", end)
+        DRIVER.locks(settings(), lambda data: None, SimulatedClock()).command("lock A", end)
 
 
 def test_frame_ids_wrap_without_zero() -> None:

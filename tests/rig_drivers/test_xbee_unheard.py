@@ -9,7 +9,7 @@ import pytest
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError
 from daq.items import RX, TX
-from daq.transports import HostClock
+from daq.lockstep.clock import SimulatedClock
 from rig_drivers.xbee.driver import DRIVER
 from rig_drivers.xbee.stream import XBeePipeline
 from tests.rig_drivers.test_xbee_stream import NODE, START_NS, STRANGER, api, block, module_frame, pipeline, settings
@@ -95,5 +95,5 @@ def test_a_request_without_any_status_may_be_of_a_type_that_the_module_does_not_
 ) -> None:
     config = settings().model_copy(update={"legacy_transmit": legacy})
     with pytest.raises(DeviceError, match="after 20 tries") as error:
-        DRIVER.locks(config, lambda data: None, HostClock()).command("lock A", lambda: None)
+        DRIVER.locks(config, lambda data: None, SimulatedClock()).command("lock A", lambda: None)
     assert ("legacy_transmit = true" in str(error.value)) is advised

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -77,13 +78,18 @@ class AstrayNode(EncoderNode):
         return super().roles("encoder")
 
 
+def sleeps(device: str, settings: Any, talk: Any) -> dict[str, Any]:
+    time.sleep(0.001)
+    return ROTORLINK.open(device, settings, talk)
+
+
 def stop_raises(settings: Any, talk: Any) -> None:
     raise RuntimeError("no such command")
 
 
 def stops_for_ever(settings: Any, talk: Any) -> None:
     talk.send(b"BAUDRATE 9600\nOUTPUT NONE\n")
-    talk.closed = True
+    talk.gone = True
 
 
 def stop_of_a_lost_link_raises(settings: Any, talk: Any) -> None:
@@ -233,6 +239,7 @@ BROKEN: dict[str, tuple[str, Driver, str]] = {
         replace(ROTORLINK, open=lambda device, settings, talk: {"reply": talk.replies.get()}),
         "without a timeout",
     ),
+    "a wait without its clock": ("waits", replace(ROTORLINK, open=sleeps), "time.sleep at test_broken_twins.py"),
     "a sample dropped in silence": (
         "stream",
         with_pipeline(ROTORLINK, on_batches(drops_a_sample)),

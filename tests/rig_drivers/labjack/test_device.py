@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
@@ -217,12 +216,10 @@ def bench_of(example: Mapping[str, Any] | None = None) -> tuple[DriverBench, Sim
     return bench, bench.far
 
 
-@contextmanager
-def running(example: Mapping[str, Any] | None = None) -> Iterator[tuple[DriverBench, SimulatedLabJack]]:
+def opened(example: Mapping[str, Any] | None = None) -> tuple[DriverBench, SimulatedLabJack]:
     bench, far = bench_of(example)
-    with bench.running():
-        bench.begin()
-        yield bench, far
+    bench.begin()
+    return bench, far
 
 
 def _driver(table: dict[str, Any]) -> Driver:
@@ -256,12 +253,12 @@ def test_contract(case: rig_testing.ContractCase) -> None:
 
 
 def test_a_stream_that_runs_at_the_opening_is_ended_first() -> None:
-    with running() as (bench, far):
-        assert far.facts()["streaming"]
-        assert bench.poller is not None
-        bench.poller.stop()
-        bench.begin()
-        bench.time.pass_time(0.5)
+    bench, far = opened()
+    assert far.facts()["streaming"]
+    assert bench.poller is not None
+    bench.poller.stop()
+    bench.begin()
+    bench.clock.wait(0.5)
     assert len(numbers(bench.items)) == pytest.approx(2000, abs=60)
     refused = far.receive(wire.request(9, [wire.write(wire.Register.STREAM_SCAN_RATE_HZ, bytes(4))]))
     detail = far.receive(wire.request(10, [wire.read(wire.Register.LAST_ERROR, 1)]))
@@ -285,35 +282,33 @@ def test_what_an_earlier_program_left_is_undone(lacks: tuple[int, ...]) -> None:
     far.receive(wire.request(1, [output] if lacks else [output, trigger]))
     assert far.facts()["outputs"] == [11]
     far.__class__ = type("Own", (Used,), {})
-    with bench.running():
-        bench.begin()
-        bench.time.pass_time(2.0)
+    bench.begin()
+    bench.clock.wait(2.0)
     assert {4014, 4024, 48005} < {*Used.written}
     assert len(numbers(bench.items)) > 7000
     assert far.facts()["outputs"] == []
 
 
 def test_the_identity_has_what_the_samples_need() -> None:
-    with running() as (bench, _):
-        identity = bench.identity
-        assert (identity["model"], identity["firmware"], identity["scan_rate_Hz"]) == ("T7", 1.0299, 4000.0)
-        assert identity["AIN0_zero"] == 33530.0
-        assert identity["constants"] == "from its flash"
+    bench, _ = opened()
+    identity = bench.identity
+    assert (identity["model"], identity["firmware"], identity["scan_rate_Hz"]) == ("T7", 1.0299, 4000.0)
+    assert identity["AIN0_zero"] == 33530.0
+    assert identity["constants"] == "from its flash"
 
 
 def test_another_serial_number_is_refused() -> None:
-    with running({"lasers": LASERS, "serial": 470_012_345}) as (bench, far):
-        assert bench.identity["device_serial"] == 470_012_345
-        far.fail("other", 470_099_999)
-        with pytest.raises(DeviceError, match=r"470012345.*470099999"):
-            bench.begin()
+    bench, far = opened({"lasers": LASERS, "serial": 470_012_345})
+    assert bench.identity["device_serial"] == 470_012_345
+    far.fail("other", 470_099_999)
+    with pytest.raises(DeviceError, match=r"470012345.*470099999"):
+        bench.begin()
 
 
 def test_a_blank_flash_gives_nominal_constants_and_a_note() -> None:
     bench, far = bench_of()
-    with bench.running():
-        far.fail("blank")
-        bench.begin()
+    far.fail("blank")
+    bench.begin()
     assert bench.identity["AIN0_zero"] == 33523.0
     assert bench.identity["constants"].startswith("nominal for AIN0, AIN1, AIN2: the constants")
     assert "AIN0, AIN1, AIN2 are nominal" in bench.identity["warning"]
@@ -352,33 +347,32 @@ class Fixed(SimulatedLabJack):
 def test_a_device_that_does_not_fit_is_refused(own: dict[int, bytes | None], table: dict[str, Any], words: str) -> None:
     bench, far = bench_of(table)
     far.__class__ = type("Own", (Fixed,), {"own": own})
-    with bench.running(), pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=words):
         bench.begin()
 
 
 def test_a_flash_that_cannot_be_read_gives_nominal_constants() -> None:
     bench, far = bench_of()
     far.__class__ = type("Own", (Fixed,), {"own": {61812: None}})
-    with bench.running():
-        bench.begin()
+    bench.begin()
     assert "cannot be read" in bench.identity["constants"]
 
 
 def test_a_device_without_an_answer_is_an_error_at_its_stop() -> None:
-    with running() as (bench, far):
-        far.fail("deaf")
-        with pytest.raises(DeviceError, match="no answer"):
-            bench.end()
+    bench, far = opened()
+    far.fail("deaf")
+    with pytest.raises(DeviceError, match="no answer"):
+        bench.end()
 
 
 def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
     """The device is not read for two seconds: its buffer of 1.4 s overflows."""
-    with running() as (bench, far):
-        bench.time.pass_time(1.0)
-        far.fail("deaf", 1)
-        bench.time.pass_time(2.0)
-        far.fail("deaf", 0)
-        bench.time.pass_time(3.0)
+    bench, far = opened()
+    bench.clock.wait(1.0)
+    far.fail("deaf", 1)
+    bench.clock.wait(2.0)
+    far.fail("deaf", 0)
+    bench.clock.wait(3.0)
     found = numbers(bench.items)
     missing = sum(b - a - 1 for a, b in pairwise(found))
     assert missing == bench.pipeline.losses["samples"] > 1000
@@ -390,23 +384,23 @@ def test_an_overflow_is_reported_first_then_counted_exactly() -> None:
 
 def test_samples_that_wait_are_read_at_once() -> None:
     """The device is not read for a second: 4000 scans wait, which are 68 answers."""
-    with running() as (bench, far):
-        bench.time.pass_time(1.0)
-        far.fail("deaf", 1)
-        bench.time.pass_time(1.0)
-        assert far.facts()["backlog_bytes"] > 20_000
-        far.fail("deaf", 0)
-        bench.time.pass_time(0.6)
-        assert far.facts()["backlog_bytes"] < 1_000
+    bench, far = opened()
+    bench.clock.wait(1.0)
+    far.fail("deaf", 1)
+    bench.clock.wait(1.0)
+    assert far.facts()["backlog_bytes"] > 20_000
+    far.fail("deaf", 0)
+    bench.clock.wait(0.6)
+    assert far.facts()["backlog_bytes"] < 1_000
     assert bench.pipeline.losses["samples"] == 0
 
 
 @pytest.mark.parametrize("scans", [1, 50, 5000])
 def test_scans_that_the_device_skips_are_counted_exactly(scans: int) -> None:
-    with running() as (bench, far):
-        bench.time.pass_time(0.5)
-        far.fail("skips", scans)
-        bench.time.pass_time(0.5)
+    bench, far = opened()
+    bench.clock.wait(0.5)
+    far.fail("skips", scans)
+    bench.clock.wait(0.5)
     found = numbers(bench.items)
     assert sum(b - a - 1 for a, b in pairwise(found)) == bench.pipeline.losses["samples"] >= scans
 
@@ -424,9 +418,9 @@ class OneRefusal(SimulatedLabJack):
 
 
 def test_the_host_reads_the_error_of_a_refused_read_and_continues() -> None:
-    with running() as (bench, far):
-        far.__class__ = type("Own", (OneRefusal,), {})
-        bench.time.pass_time(1.0)
+    bench, far = opened()
+    far.__class__ = type("Own", (OneRefusal,), {})
+    bench.clock.wait(1.0)
     assert [event.kind for event in events(bench.items) if event.kind != "reply"] == ["refused", "refused"]
     assert "error 2501" in events(bench.items, "refused")[1].text
     assert bench.pipeline.losses == {"samples": 0, "bytes": 0, "refused": 1, "invalid": 0}
@@ -435,22 +429,22 @@ def test_the_host_reads_the_error_of_a_refused_read_and_continues() -> None:
 
 def test_a_scan_overlap_and_a_power_failure_end_in_a_fault() -> None:
     for fault in ("overlap", "power"):
-        with running() as (bench, far):
-            bench.time.pass_time(0.3)
-            if fault == "overlap":
-                far.fail("overlap")
-            else:
-                far.power(False, bench.time.now_s)
-                far.power(True, bench.time.now_s)
-            bench.time.pass_time(0.3)
+        bench, far = opened()
+        bench.clock.wait(0.3)
+        if fault == "overlap":
+            far.fail("overlap")
+        else:
+            far.power(False, bench.clock.wall_s())
+            far.power(True, bench.clock.wall_s())
+        bench.clock.wait(0.3)
         assert events(bench.items, "fault"), fault
         assert bench.pipeline.losses["refused"] > 0
 
 
 def test_blocked_beams_are_no_samples() -> None:
-    with running() as (bench, far):
-        far.fail("blocked")
-        bench.time.pass_time(0.5)
+    bench, far = opened()
+    far.fail("blocked")
+    bench.clock.wait(0.5)
     last = batches(bench.items, "laser/x")[-1]
     assert np.isnan(last.columns["displacement_m"]).all()
     with pytest.raises(ValueError, match="no fault"):

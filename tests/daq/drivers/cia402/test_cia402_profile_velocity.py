@@ -103,30 +103,29 @@ def test_a_drive_is_commanded_through_its_own_objects() -> None:
     objects = far._objects
     objects[cia301.RPDO1_MAPPING, 2] = (cia301.mapped_word(cia402.TARGET_VELOCITY), "<I")
     objects[cia301.TPDO1_MAPPING, 2] = (cia301.mapped_word(cia402.ACTUAL_VELOCITY), "<I")
-    with bench.running():
-        bench.begin()
-        control = bench.control
-        assert control is not None
-        assert objects[cia402.MODE_OF_OPERATION, 0][0] == 3
-        assert objects[cia301.RPDO1_MAPPING, 2][0] == 0x60FF0020
-        assert objects[cia301.TPDO1_MAPPING, 2][0] == 0x606C0020
-        control.set_ramp(400.0)
-        assert (objects[0x6083, 0][0], objects[0x6084, 0][0]) == (7000, 7000)
-        control.enable()
-        control.set_speed(-200.5)
-        bench.time.pass_time(1.5)
-        sent = [data for direction, data, _ in bench.reads if direction == TX]
-        assert encode(CanFrame(0x205, profile_of(drive(units_per_rpm=UNITS)).pack(0x0F, -200.5))) in sent
-        assert bench.motion.speed_rad_s * TO_RPM == pytest.approx(-200.5, rel=0.01)
-        batch = [item for item in bench.items if isinstance(item, Batch)][-1]
-        assert batch.columns["target_rpm"][-1] == pytest.approx(-200.5, abs=1e-3)
-        assert batch.columns["speed_rpm"][-1] == pytest.approx(-200.5, rel=0.01)
-        assert int(batch.columns["statusword"][-1]) & 0x1400 == 0x0400  # target reached, not at rest
-        far._control(cia402.ENABLE_OPERATION | cia402.HALT)
-        bench.time.pass_time(1.0)
-        assert abs(bench.motion.speed_rad_s) * TO_RPM < 1
-        assert control.state == cia402.OPERATION_ENABLED
-        assert control.stop() is True
+    bench.begin()
+    control = bench.control
+    assert control is not None
+    assert objects[cia402.MODE_OF_OPERATION, 0][0] == 3
+    assert objects[cia301.RPDO1_MAPPING, 2][0] == 0x60FF0020
+    assert objects[cia301.TPDO1_MAPPING, 2][0] == 0x606C0020
+    control.set_ramp(400.0)
+    assert (objects[0x6083, 0][0], objects[0x6084, 0][0]) == (7000, 7000)
+    control.enable()
+    control.set_speed(-200.5)
+    bench.clock.wait(1.5)
+    sent = [data for direction, data, _ in bench.reads if direction == TX]
+    assert encode(CanFrame(0x205, profile_of(drive(units_per_rpm=UNITS)).pack(0x0F, -200.5))) in sent
+    assert bench.motion.speed_rad_s * TO_RPM == pytest.approx(-200.5, rel=0.01)
+    batch = [item for item in bench.items if isinstance(item, Batch)][-1]
+    assert batch.columns["target_rpm"][-1] == pytest.approx(-200.5, abs=1e-3)
+    assert batch.columns["speed_rpm"][-1] == pytest.approx(-200.5, rel=0.01)
+    assert int(batch.columns["statusword"][-1]) & 0x1400 == 0x0400  # target reached, not at rest
+    far._control(cia402.ENABLE_OPERATION | cia402.HALT)
+    bench.clock.wait(1.0)
+    assert abs(bench.motion.speed_rad_s) * TO_RPM < 1
+    assert control.state == cia402.OPERATION_ENABLED
+    assert control.stop() is True
 
 
 def test_a_ramp_below_the_drives_unit_is_refused() -> None:
@@ -135,11 +134,10 @@ def test_a_ramp_below_the_drives_unit_is_refused() -> None:
     )
 
     bench = DriverBench(coarse)
-    with bench.running():
-        bench.begin()
-        assert bench.control is not None
-        with pytest.raises(DeviceError, match="the unit of its ramp allows 100 rpm/s"):
-            bench.control.set_ramp(130.0)
+    bench.begin()
+    assert bench.control is not None
+    with pytest.raises(DeviceError, match="the unit of its ramp allows 100 rpm/s"):
+        bench.control.set_ramp(130.0)
 
 
 def test_a_report_of_velocity_mode_is_too_short() -> None:

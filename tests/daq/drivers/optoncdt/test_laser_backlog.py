@@ -2,48 +2,15 @@
 
 from __future__ import annotations
 
-import queue
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.errors import DeviceError
-from daq.transports import HostClock
 from tests.daq.hand_made_laser import HandMadeLaser
 
 READ_BYTES = 4096
 """Largest portion that a read of a port yields."""
-
-
-class SimulatedTime(HostClock):
-    """Wall time that passes only in waits."""
-
-    def __init__(self, passed: Callable[[float], None]) -> None:
-        super().__init__()
-        self._now_s, self._passed = 0.0, passed
-
-    def wall_s(self) -> float:
-        return self._now_s
-
-    def wait(self, seconds: float) -> None:
-        self._now_s += seconds
-        self._passed(self._now_s)
-
-
-class Replies(queue.Queue[str]):
-    """A queue whose waits take simulated time."""
-
-    def __init__(self, clock: SimulatedTime) -> None:
-        super().__init__()
-        self._clock = clock
-
-    def get(self, block: bool = True, timeout: float | None = None) -> str:
-        end_s = self._clock.wall_s() + (timeout or 0.0)
-        while self.empty() and self._clock.wall_s() < end_s:
-            self._clock.wait(0.001)
-        return super().get(block=False)
 
 
 class StreamingLaser(HandMadeLaser):
@@ -58,13 +25,12 @@ class StreamingLaser(HandMadeLaser):
 
     def __init__(self, backlog: int, read_every_s: float, deaf: bool = False, streaming: bool = True) -> None:
         super().__init__()
-        self.clock = SimulatedTime(self._pass)
-        self.replies = Replies(self.clock)
         self._read_every_s, self._deaf = read_every_s, deaf
-        self._streaming, self._sample, self._read_s = streaming, 0, 0.0
+        self._streaming, self._sample = streaming, 0
         self._line = bytearray()
         while len(self._line) < backlog:
             self._line += self._samples(40)
+        self.clock.after(read_every_s, self._read)
 
     def _samples(self, count: int) -> bytes:
         number = self._sample + np.arange(count)
@@ -72,16 +38,15 @@ class StreamingLaser(HandMadeLaser):
         words = np.column_stack([30_000 + number % 7, number & 0xFFFF, (25 * number) & 0xFFFF, (25 * number) >> 16])
         return optoncdt.encode_block(words.astype(np.uint32))
 
-    def _pass(self, now_s: float) -> None:
+    def _read(self) -> None:
         if self._streaming:
-            self._line += self._samples(max(0, int(4000 * now_s) - self._sample))
-        while now_s >= self._read_s + self._read_every_s:
-            self._read_s += self._read_every_s
-            data = bytes(self._line[:READ_BYTES])
-            del self._line[: len(data)]
-            self.bytes_in += len(data)
-            for line in self._decoder.feed(data).text:
-                self.replies.put(line)
+            self._line += self._samples(max(0, int(4000 * self.clock.wall_s()) - self._sample))
+        data = bytes(self._line[:READ_BYTES])
+        del self._line[: len(data)]
+        self.bytes_in += len(data)
+        for line in self._decoder.feed(data).text:
+            self.replies.put(line)
+        self.clock.after(self._read_every_s, self._read)
 
     def send(self, data: bytes) -> None:
         if self._deaf:

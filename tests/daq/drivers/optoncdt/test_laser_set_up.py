@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import threading
 
 import numpy as np
 import pytest
@@ -47,12 +46,6 @@ class WeakLine(HandMadeLaser):
             for line in [*self._held, *answer]:
                 self.replies.put(line)
             self._held = []
-
-
-@pytest.fixture(autouse=True)
-def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dialogue, "_ANSWER_S", (0.05, 0.05))
-    monkeypatch.setattr(dialogue, "_QUIET_S", 0.02)
 
 
 def test_trigger_and_averaging_of_an_earlier_session_are_switched_off() -> None:
@@ -116,12 +109,11 @@ class SlowLaser(HandMadeLaser):
         lines = [self.replies.get_nowait() for _ in range(self.replies.qsize())]
         for line in lines[:before]:
             self.replies.put(line)
-        threading.Timer(0.04, lambda: [self.replies.put(line) for line in lines[before:]]).start()
+        self.clock.after(0.04, lambda: [self.replies.put(line) for line in lines[before:]])
 
 
 def test_an_answer_to_an_earlier_command_is_not_taken_for_that_to_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The answers to the commands that stop its stream arrive after the next commands have been sent."""
-    monkeypatch.setattr(dialogue, "_ANSWER_S", (0.5, 0.5))
     monkeypatch.setattr("daq.drivers.stream_stop._QUIET_S", 0.001)
     identity = SlowLaser().set_up()
     assert (identity["serial"], identity["words"]) == ("12345678", WORDS)
