@@ -82,7 +82,8 @@ class RigObservation:
         complaints: contradictions between what devices report of themselves and the rig file, by device.
         rotor_rpm: speed of the rotor; NaN if unknown.
         speeds: agreement of drive and index marks; None if they could not be compared.
-        round_trip_s: see `MeasuresRoundTrip`, of the device with the index marks; None if it was not measured.
+        round_trip_s: see `LockControl.measure_round_trip`, of the device with the index marks; None if it was not
+            measured.
     """
 
     seconds: float

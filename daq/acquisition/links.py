@@ -15,7 +15,7 @@ from daq.acquisition.edge import Edge
 from daq.acquisition.effects import Effect, Note
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import Poller, SendsByItself
+from daq.drivers.contract import Poller
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -326,16 +326,17 @@ class Links:
     def _open_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
-        if name == command.drive_name and isinstance(command.drive, SendsByItself):
-            command.drive.pause()
+        drive = command.drive if name == command.drive_name else None
+        if drive is not None:
+            drive.pause()
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
         fixed = self._reported[name] - device.driver.measured
         changed = [key for key in known if key in fixed and found.get(key) != known[key]]
         if changed:
             differences = ", ".join(f"{key} {found.get(key)} instead of {known[key]}" for key in changed)
             raise _AnotherDevice(f"{name}: another device answers on this link: {differences}")
-        if name == command.drive_name and command.drive is not None:
-            command.drive.start()
+        if drive is not None:
+            drive.start()
         self._failures.pop(name, None)
 
     def _refused(self, name: str, text: str) -> Iterator[Effect]:

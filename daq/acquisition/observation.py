@@ -13,7 +13,7 @@ from daq.acquisition.displacement_check import ObservedDisplacement
 from daq.acquisition.recent_speed import recent_agreement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import MeasuresTimeOut, TimeOut
+from daq.drivers.contract import TimeOut
 from daq.drivers.devices import devices_of
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -91,10 +91,8 @@ def _angles(session: Session, role: PendulumAngles, started_ns: int) -> Observed
 def _time_out(session: Session, speed: SpeedSource) -> TimeOut | str:
     """Measure the time-out of the speed source, or return why it was not measured."""
     drive = session.drive
-    if not isinstance(drive, MeasuresTimeOut):
-        return "such a device does not report a missing host while the rotor stands"
     try:
-        return drive.measure_time_out()
+        return drive.measure_time_out() or "such a device does not report a missing host while the rotor stands"
     except (DeviceError, LinkLost) as error:
         return str(error)
 

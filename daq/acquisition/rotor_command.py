@@ -9,7 +9,6 @@ from functools import partial
 from daq.acquisition.core import Core, DriveState
 from daq.drivers.contract import (
     LockControl,
-    MeasuresRoundTrip,
     Pipeline,
     RotorGuard,
     SpeedControl,
@@ -150,14 +149,12 @@ class RotorCommand:
         self._core.interlocks.counters_set()  # an angle between the two may still be the old one
 
     def measure_round_trip(self, device: str) -> float | None:
-        """Return the result of `MeasuresRoundTrip`, s; None if a device does not answer or cannot measure it.
+        """Return the result of `LockControl.measure_round_trip`, s; None if a device does not answer or has none.
 
         Raises:
             LinkLost: the connection to the device is lost.
         """
-        if self.locks_name != device or not isinstance(self.locks, MeasuresRoundTrip):
-            return None
-        return self.locks.measure_round_trip()
+        return None if self.locks is None or self.locks_name != device else self.locks.measure_round_trip()
 
     def quick_stop(self) -> None:
         """Stop the drive. If its link is lost, its heartbeat watchdog stops it."""

@@ -208,11 +208,28 @@ class RotorGuard:
     speed_rpm: Callable[[], float]
 
 
+@dataclass(frozen=True)
+class TimeOut:
+    """Time-out of a speed source: the silence of the host after which it stops the rotor by itself.
+
+    Attributes:
+        measured_s: time from the last sign of life to the report that it is missing, s; None without such a report.
+        stated_s: time-out that the device states, or that it must have by the rig file, s; None without either.
+        resolution_s: uncertainty of `measured_s` from the periods of messages and reports, s.
+    """
+
+    measured_s: float | None
+    stated_s: float | None
+    resolution_s: float
+
+
 class SpeedControl(Protocol):
-    """An open device that turns the rotor."""
+    """An open device that turns the rotor; `daq.drivers.host_command.HostCommand` has what such devices share."""
 
     was_reset: str
     """Text for the operator about a fault that `enable` found and reset; empty without such a fault."""
+    dropped_out: str | None
+    """State that the device entered by itself while it should have been running; None if it did not."""
 
     @property
     def actual_rpm(self) -> float:
@@ -222,11 +239,6 @@ class SpeedControl(Protocol):
     @property
     def enabled(self) -> bool:
         """Whether the device holds the rotor's speed, from its newest report."""
-        ...
-
-    @property
-    def dropped_out(self) -> str | None:
-        """State that the device entered by itself while it should have been running; None if it did not."""
         ...
 
     def notice(self, pipeline: Pipeline) -> None:
@@ -289,43 +301,21 @@ class SpeedControl(Protocol):
         """
         ...
 
+    def pause(self) -> None:
+        """Send no requests between the commands until `start`: the driver's dialogue opens the device again."""
+        return
 
-@dataclass(frozen=True)
-class TimeOut:
-    """Time-out of a speed source: the silence of the host after which it stops the rotor by itself.
-
-    Attributes:
-        measured_s: time from the last sign of life to the report that it is missing, s; None without such a report.
-        stated_s: time-out that the device states, or that it must have by the rig file, s; None without either.
-        resolution_s: uncertainty of `measured_s` from the periods of messages and reports, s.
-    """
-
-    measured_s: float | None
-    stated_s: float | None
-    resolution_s: float
-
-
-@runtime_checkable
-class MeasuresTimeOut(Protocol):
-    """A speed source that reports a missing host also while the rotor stands without torque."""
-
-    def measure_time_out(self) -> TimeOut:
+    def measure_time_out(self) -> TimeOut | None:
         """Withhold the signs of life until the device reports that they are missing, then send them again.
+
+        Returns:
+            The time-out; None if the device does not report a missing host while the rotor stands without torque.
 
         Raises:
             DeviceError: the rotor turns or is held, or the device does not answer.
             LinkLost: the connection to the device is lost.
         """
-        ...
-
-
-@runtime_checkable
-class SendsByItself(Protocol):
-    """A speed source that also sends requests by itself, between the commands."""
-
-    def pause(self) -> None:
-        """Send no such requests until `start`: the driver's dialogue opens the device again."""
-        ...
+        return None
 
 
 class LockControl(Protocol):
@@ -348,11 +338,6 @@ class LockControl(Protocol):
         """Take an acknowledgement of the device."""
         ...
 
-
-@runtime_checkable
-class MeasuresRoundTrip(Protocol):
-    """A lock control of a device that answers a request with the time, on its clock, at which the request arrived."""
-
     def measure_round_trip(self) -> float | None:
         """Send requests, and compare the times of their arrival on the common clock with those of sending.
 
@@ -360,12 +345,13 @@ class MeasuresRoundTrip(Protocol):
         difference is therefore the least delay of the whole way, there and back, less the stated one.
 
         Returns:
-            The least difference, s; None without an answer.
+            The least difference, s; None without an answer, or if the device does not answer with the time, on its
+            clock, at which a request arrived.
 
         Raises:
             LinkLost: the connection to the device is lost.
         """
-        ...
+        return None
 
 
 class Poller(Protocol):

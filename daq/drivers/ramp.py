@@ -1,8 +1,23 @@
-"""The host's ramp for a controller without a ramp of its own. Pure: the time is an argument."""
+"""Ramps of a speed source: the rate that a device can have, and the host's ramp for a controller without one. Pure."""
 
 from __future__ import annotations
 
 import math
+
+from daq.errors import DeviceError
+
+_MAX_DEVIATION = 0.05  # relative deviation of a device's ramp from the requested one
+
+
+def check_ramp(wanted: float, nearest: float, why: str) -> None:
+    """Raise DeviceError if the nearest ramp that a device can have, rpm/s, is not near the wanted one.
+
+    Args:
+        wanted, nearest: rates, rpm/s.
+        why: clause about the device's ramps.
+    """
+    if abs(nearest - wanted) > _MAX_DEVIATION * wanted:
+        raise DeviceError(f"drive: {wanted:g} rpm/s wanted; {why}, the nearest ramp is {nearest:g} rpm/s")
 
 
 class SetpointRamp:

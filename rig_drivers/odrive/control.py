@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
-from daq.drivers.repeated_command import RESTARTED, UNKNOWN, Mode, RepeatedCommand
+from daq.drivers.host_command import UNKNOWN
+from daq.drivers.repeated_command import RESTARTED, Mode, RepeatedCommand
 from daq.errors import DeviceError
 from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import HostClock
@@ -20,14 +23,12 @@ from rig_drivers.odrive.stream import OdrivePipeline
 
 _REQUEST_S = 0.3  # s between two requests of closed-loop control: a second one interrupts it for a moment
 _BRAKE_S = 1.0  # s of braking without effect after which the torque is removed
-_MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
-_REPORT_DELAY_S = 0.05  # s, longest time of a heartbeat from the controller to this process
 _MOST_MISSING = 10  # heartbeats in a row, counted in estimates, after which a driven axis is stopped
 _BRAKES = 0.9  # share of the first speed above which a rotor counts as not braked
 
 
 class OdriveControl(RepeatedCommand):
-    """See SpeedSource and RepeatedCommand."""
+    """See RepeatedCommand."""
 
     def __init__(
         self, settings: Odrive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard | None = None
@@ -45,13 +46,13 @@ class OdriveControl(RepeatedCommand):
 
     # --- reports ----------------------------------------------------------------------------------------------
 
+    @override
     def notice(self, pipeline: Pipeline) -> None:
-        """See SpeedSource."""
         assert isinstance(pipeline, OdrivePipeline)
         with self._deciding:
             self._errors = pipeline.errors
             if pipeline.speeds_rpm:
-                self._reported_rpm, self._report_ns = pipeline.speeds_rpm[-1], self._clock.now_ns()
+                self._take_speed(pipeline.speeds_rpm[-1])
             if pipeline.restarted:
                 self._expired = False  # its set-up may be another one
                 if self._armed:
@@ -80,32 +81,36 @@ class OdriveControl(RepeatedCommand):
         return self._beat if self._is_recent(self._beat_ns) else None
 
     @property
+    @override
     def state(self) -> str:
-        """See SpeedSource."""
         beat = self._recent()
         return UNKNOWN if beat is None else stream.state(beat, self._settings.firmware)
 
     @property
+    @override
     def enabled(self) -> bool:
-        """See SpeedSource: speeds are commanded, and heartbeat and speed are reported."""
+        """Whether speeds are commanded, and heartbeat and speed are reported."""
         return super().enabled and self._recent() is not None
 
+    @override
     def fault_code(self) -> int | None:
-        """See SpeedSource: the axis' error code."""
         beat = self._recent()
         idle = beat is None or (beat.error == wire.WATCHDOG[self._settings.firmware] and not self.faults)
         return None if idle or not self._beat or not self._beat.error else self._beat.error
 
+    @override
     def why(self) -> str:
-        """See SpeedSource: errors of the axis, and the codes behind them if they were answered."""
+        """Return the errors of the axis, and the codes behind them if they were answered."""
         more = "".join(f"; {name} 0x{code:X}" for name, code in self._errors.items() if code) if self.faults else ""
         return super().why() + more
 
+    @override
     def _words(self, code: int) -> str:
         return wire.error_words(self._settings.firmware, code)
 
     # --- commands ----------------------------------------------------------------------------------------------
 
+    @override
     def _question(self, now_ns: int) -> bytes:
         """Request the error codes once after each new error."""
         if not self._ask_errors:
@@ -113,6 +118,7 @@ class OdriveControl(RepeatedCommand):
         self._ask_errors = False
         return _text(*wire.error_requests(self._settings.node_id, self._settings.firmware))
 
+    @override
     def _order(self, rpm: float) -> bytes:
         node = self._settings.node_id
         if self.mode is Mode.FREE:
@@ -140,44 +146,45 @@ class OdriveControl(RepeatedCommand):
             return False
         return abs(self._reported_rpm) > max(_BRAKES * self._brake_rpm, self._settings.rest_rpm)
 
+    @override
     def _begin(self, mode: Mode) -> None:
         super()._begin(mode)
         self._requested_ns, self._brake_rpm = 0, abs(self._reported_rpm)
 
-    def _fall(self, state: str) -> None:
-        super()._fall(state)
-        self._begin(Mode.BRAKE)
-
+    @override
     def _is_ready(self) -> bool:
         """Return whether it has no error except an expired watchdog, which is cleared, and its watchdog was seen."""
         beat = self._recent()
         other = beat is None or beat.error & ~wire.WATCHDOG[self._settings.firmware]
         return not other and (self._expired or not self._settings.needs_proof)
 
+    @override
     def _obeys(self) -> bool:
         beat = self._beat
         reached = beat is not None and beat.state == wire.CLOSED_LOOP and not beat.error
         return reached and self._ordered_ns < min(self._beat_ns, self._report_ns)
 
+    @override
     def _disobeys(self) -> str:
         beat = self._recent()
         if beat is None:
-            return "drive: it sends no heartbeat. Set its period (heartbeat_ms), look at its power and at the bus"
+            return "it sends no heartbeat. Set its period (heartbeat_ms), look at its power and at the bus"
         if beat.error & ~wire.WATCHDOG[self._settings.firmware]:
-            return f"drive: it has a fault: {self._words(beat.error)}{self.why()}. Mend the cause and clear the error"
+            return f"it has a fault: {self._words(beat.error)}{self.why()}. Mend the cause and clear the error"
         if not self._expired and self._settings.needs_proof:
             return (
-                "drive: its watchdog has not expired although it received no command: it is off, or longer than "
+                "its watchdog has not expired although it received no command: it is off, or longer than "
                 "expected. A controller that does not stop when its host is gone must not turn the rotor. Set "
                 f"enable_watchdog and watchdog_timeout = {self._settings.watchdog_s:g}, save and restart it"
             )
         return (
-            f"drive: expected closed-loop control, its state is {self.state}{self.why()}. Are motor and encoder "
+            f"expected closed-loop control, its state is {self.state}{self.why()}. Are motor and encoder "
             "calibrated? Look at its errors with the maker's software"
         )
 
+    @override
     def measure_time_out(self) -> TimeOut:
-        """See MeasuresTimeOut: clear the watchdog's error, which also feeds it, and wait for the error to return."""
+        """Clear the watchdog's error, which also feeds it, and wait for the error to return."""
         beat, watchdog, s = self._recent(), wire.WATCHDOG[self._settings.firmware], self._settings
         if not s.needs_proof:
             raise DeviceError(
@@ -188,17 +195,14 @@ class OdriveControl(RepeatedCommand):
         with self._sending:
             self._send(_text(wire.clear_errors(s.node_id)))
             fed_ns, fed_s = self._clock.now_ns(), self._clock.wall_s()
-        looked_s, delay_ns = fed_s, _REPORT_DELAY_S * 1e9
-        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s + 1.0, 0.0, False
-        while not expired and looked_s < end_s:
-            self._clock.wait(0.002)
-            before_s, looked_s = looked_s, self._clock.wall_s()
-            longest_s = max(longest_s, looked_s - before_s)
-            late = self._beat_ns - fed_ns > delay_ns  # an earlier one may have been sent before the error was cleared
-            expired = late and self._beat is not None and bool(self._beat.error & watchdog)
-        resolution_s = s.heartbeat_ms * 1e-3 + _REPORT_DELAY_S + 2 * longest_s
-        return TimeOut(looked_s - fed_s if expired else None, s.watchdog_s, resolution_s)
 
+        def expired() -> bool:  # an earlier heartbeat may have been sent before the error was cleared
+            late = self._is_late(self._beat_ns, fed_ns)
+            return late and self._beat is not None and bool(self._beat.error & watchdog)
+
+        return self._await_time_out(expired, fed_s, s.watchdog_s, s.heartbeat_ms * 1e-3)
+
+    @override
     def _send_release(self) -> Callable[[], bool]:
         """Send the command to release the rotor; a later heartbeat in the state IDLE confirms it."""
         with self._sending:

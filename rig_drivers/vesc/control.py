@@ -8,8 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from typing_extensions import override
+
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
-from daq.drivers.repeated_command import ANSWER_S, RESTARTED, UNKNOWN, Mode, RepeatedCommand
+from daq.drivers.host_command import UNKNOWN
+from daq.drivers.repeated_command import RESTARTED, Mode, RepeatedCommand
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 from rig_basics.texts import number_of
@@ -19,10 +22,9 @@ from rig_drivers.vesc.stream import VescPipeline
 
 __all__ = ["Mode", "VescControl"]
 
-_MOST_UNANSWERED = 8  # polls in a row, each repeated after ANSWER_S, after which a driven rotor is stopped
+_ANSWER_S = 0.1  # s to wait for an answer before the poll is repeated
+_MOST_UNANSWERED = 8  # polls in a row without an answer after which a driven rotor is stopped
 _NO_ANSWER = f"{UNKNOWN} (no answer to {_MOST_UNANSWERED} polls)"
-_MOST_TIMEOUTS = 3  # timeouts of the rig file for which the measured one is awaited
-_DELAY_S = 0.05  # s, longest time of an answer from the controller to this process
 _STEP_S = 0.01  # period at which the controller examines its timeout [its firmware], s
 
 
@@ -47,7 +49,7 @@ class Commands(Protocol):
 
 
 class VescControl(RepeatedCommand):
-    """See SpeedSource and RepeatedCommand.
+    """See RepeatedCommand.
 
     Args:
         commands: encoder of the commands for the controller's line.
@@ -70,20 +72,19 @@ class VescControl(RepeatedCommand):
         self._poll_due_ns = 0
         self._unanswered = 0  # polls since the newest answer
         self._expired = False  # whether it has reported an expired timeout since this command began
-        self._enable_stops = 0  # stop commands before the last `enable`
 
     # --- reports ----------------------------------------------------------------------------------------------
 
+    @override
     def notice(self, pipeline: Pipeline) -> None:
-        """See SpeedSource."""
         assert isinstance(pipeline, VescPipeline)
         for values in pipeline.answers:
             self._take(values)
 
     def _take(self, values: wire.Values) -> None:
         with self._deciding:
-            before, self._report, self._report_ns = self._report, values, self._clock.now_ns()
-            self._reported_rpm = values.erpm / self._settings.pole_pairs
+            before, self._report = self._report, values
+            self._take_speed(values.erpm / self._settings.pole_pairs)
             self._answers += 1
             self._polled_ns, self._unanswered = None, 0
             self._expired |= bool((values.status or 0) & wire.TIMED_OUT)
@@ -103,26 +104,30 @@ class VescControl(RepeatedCommand):
         return self._report if self._is_recent(self._report_ns) else None
 
     @property
+    @override
     def state(self) -> str:
-        """See SpeedSource. Fault and status byte are from the newest report, the rest is the last command."""
+        """Fault and status byte from the newest report, otherwise the last command."""
         report = self._recent()
         if report is None:
             return UNKNOWN
         command = {Mode.SPEED: stream.SPEED, Mode.BRAKE: stream.BRAKE, Mode.FREE: stream.FREE}.get(self.mode, 0)
         return stream.state(stream.statusword(report, command))
 
+    @override
     def fault_code(self) -> int | None:
-        """See SpeedSource. The controller is polled continuously, so the newest report is used."""
+        """Return the fault in the newest report: the controller is polled continuously."""
         report = self._recent()
         return None if report is None or not report.fault else report.fault
 
+    @override
     def _words(self, code: int) -> str:
         return wire.fault_words(code)
 
     # --- commands ----------------------------------------------------------------------------------------------
 
+    @override
     def _question(self, now_ns: int) -> bytes:
-        waited = self._polled_ns is None or now_ns - self._polled_ns > ANSWER_S * 1e9
+        waited = self._polled_ns is None or now_ns - self._polled_ns > _ANSWER_S * 1e9
         if not waited or now_ns < self._poll_due_ns:
             return b""
         if self._polled_ns is not None:  # counted, not timed: a host that was asleep has sent no polls
@@ -133,6 +138,7 @@ class VescControl(RepeatedCommand):
         self._polled_ns = now_ns
         return self._commands.get_values()
 
+    @override
     def _order(self, rpm: float) -> bytes:
         if self.mode is Mode.FREE:
             return self._commands.release()
@@ -142,6 +148,7 @@ class VescControl(RepeatedCommand):
             return self._commands.set_brake(self._settings.brake_A)
         return self._commands.set_rpm(round(rpm * self._settings.pole_pairs))
 
+    @override
     def _is_ready(self) -> bool:
         report = self._recent()
         return report is not None and self._is_driveable(report) and self._is_proven(report)
@@ -162,23 +169,12 @@ class VescControl(RepeatedCommand):
         if turns and not self._guarded.at_rest():
             return True
         with self._deciding:
-            if self._stops != self._enable_stops:
-                return True  # `enable` fails: a stop has been commanded
+            self._check_not_stopped()
             if self.mode is not Mode.NOTHING:
                 self._begin(Mode.NOTHING)
         return False
 
-    def enable(self) -> None:
-        """See RepeatedCommand.
-
-        Raises:
-            DeviceError: the controller has a fault, does not obey, or its timeout does not expire.
-            AcquisitionError: raised by `permit`.
-        """
-        with self._deciding:
-            self._enable_stops = self._stops
-        super().enable()
-
+    @override
     def _obeys(self) -> bool:
         """Return whether it reports neither fault nor timeout after a command has reached it.
 
@@ -189,27 +185,23 @@ class VescControl(RepeatedCommand):
             return False
         return not (report.status or 0) & wire.OBSTACLES
 
+    @override
     def _disobeys(self) -> str:
         report = self._recent()
         if self.mode is Mode.NOTHING and not self._expired and report is not None and self._is_driveable(report):
             return (
-                "drive: its timeout has not expired although it received no command: it is off or longer than "
+                "its timeout has not expired although it received no command: it is off or longer than "
                 f"expected, or another input commands the motor. Expected {self._settings.timeout_s:g} s (timeout_s): "
                 "without it the rotor goes on turning when the host is gone. Set it in the application settings"
             )
         why = self.why() or "; it reports no fault"
         return (
-            f"drive: expected it to obey, its state is {self.state}{why}. Look at the fault with the maker's software, "
+            f"expected it to obey, its state is {self.state}{why}. Look at the fault with the maker's software, "
             "at the kill switch, at the wire to the controller, and whether another input commands the motor"
         )
 
+    @override
     def set_speed(self, rpm: float) -> None:
-        """See SpeedSource.
-
-        Raises:
-            DeviceError: the controller cannot hold that speed, or is not enabled.
-            AcquisitionError: raised by `permit`.
-        """
         least = self._settings.min_rpm
         if rpm and not abs(rpm) >= least:
             raise DeviceError(
@@ -221,6 +213,7 @@ class VescControl(RepeatedCommand):
             raise DeviceError(f"drive: {rpm:g} rpm wanted, which its wire cannot carry")
         super().set_speed(rpm)
 
+    @override
     def _send_release(self) -> Callable[[], bool]:
         """Send the command to release the rotor, and a poll.
 
@@ -244,8 +237,9 @@ class VescControl(RepeatedCommand):
             "is noise: raise rest_rpm. If it turns without a command, another input commands the motor"
         )
 
+    @override
     def measure_time_out(self) -> TimeOut:
-        """See MeasuresTimeOut: release once, and wait until the status byte shows the expired timeout."""
+        """Release once, and wait until the status byte shows the expired timeout."""
         report, s = self._recent(), self._settings
         if report is None or report.fault or self.mode is not Mode.NOTHING or not self._guarded.at_rest():
             raise DeviceError(
@@ -257,19 +251,16 @@ class VescControl(RepeatedCommand):
         with self._sending:
             self._send(self._commands.release())
             sent_ns, sent_s = self._clock.now_ns(), self._clock.wall_s()
-        delay_ns = _DELAY_S * 1e9
-        looked_s, longest_s, obeyed, expired = sent_s, 0.0, False, False
-        end_s = sent_s + _MOST_TIMEOUTS * s.timeout_s + 1.0
-        while not expired and looked_s < end_s:
-            self._clock.wait(0.002)
-            before_s, looked_s = looked_s, self._clock.wall_s()
-            longest_s = max(longest_s, looked_s - before_s)
+        obeyed = False
+
+        def expired() -> bool:
+            nonlocal obeyed
             with self._deciding:
                 timed_out = bool((self._report.status or 0) & wire.TIMED_OUT) if self._report is not None else False
-                late = self._report_ns - sent_ns > delay_ns  # an earlier one may precede the command
-            obeyed |= late and not timed_out
-            expired = obeyed and timed_out
+                obeyed |= self._is_late(self._report_ns, sent_ns) and not timed_out
+            return obeyed and timed_out
+
+        found = self._await_time_out(expired, sent_s, s.timeout_s, 1.0 / s.report_Hz + _STEP_S)
         if not obeyed:
             raise DeviceError("the command to release did not end its expired timeout: do commands reach it?")
-        resolution_s = 1.0 / s.report_Hz + _STEP_S + _DELAY_S + 2 * longest_s
-        return TimeOut(looked_s - sent_s if expired else None, s.timeout_s, resolution_s)
+        return found

@@ -15,7 +15,7 @@ _MAX_FAILURES = 5  # commands that the module could not deliver, about 0.8 s
 
 
 class XBeeLocks(NodeLocks):
-    """See PendulumLocks. The node's acknowledgement decides, independent of the delivery of the radio frame.
+    """See LockControl. The node's acknowledgement decides, independent of the delivery of the radio frame.
 
     A frame that the module could not deliver is sent again with the same seq, up to `_MAX_FAILURES` times. The module
     itself repeats a frame on air and ends its tries after about 10 ms. A frame can reach the node although its
@@ -36,7 +36,7 @@ class XBeeLocks(NodeLocks):
         self._failed, self._failures = "", 0
 
     def command(self, action: str, check: Callable[[], None]) -> None:
-        """See PendulumLocks."""
+        """See LockControl."""
         self._sent_ids.clear()
         self._failed, self._failures = "", 0
         super().command(action, check)

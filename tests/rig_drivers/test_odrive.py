@@ -447,7 +447,7 @@ def test_a_release_that_no_heartbeat_confirms_is_an_error() -> None:
     bench.runs(100.0)
     bench.drive.quick_stop()
     bench.clock.wait(1.0)
-    bench.far.fail("deaf", 1)
+    bench.far.fail("silent heartbeat", 1)
     with pytest.raises(DeviceError, match="not confirmed"):
         bench.drive.disable()
 

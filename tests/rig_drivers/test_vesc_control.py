@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import queue
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from daq.drivers.contract import MeasuresTimeOut, RotorGuard, SpeedControl, TimeOut
+from daq.drivers.contract import RotorGuard, SpeedControl, TimeOut
 from daq.drivers.driver import Driver
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -424,8 +425,9 @@ def test_polls_do_not_keep_it_commanded(bench: Bench) -> None:
 
 
 def time_out(bench: Bench) -> TimeOut:
-    assert isinstance(bench.control, MeasuresTimeOut)
-    return bench.control.measure_time_out()
+    found = bench.control.measure_time_out()
+    assert found is not None
+    return found
 
 
 def mode(bench: Bench) -> Mode:
@@ -833,8 +835,11 @@ def test_firmware_without_a_name_of_its_hardware_is_used() -> None:
 
 
 def test_one_that_is_silent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig_drivers.vesc.dialogue._ANSWER_S", 0.01)
+    def none_in_time(timeout: float) -> str:
+        raise queue.Empty
+
     talk = Talk([])
+    monkeypatch.setattr(talk.replies, "get", none_in_time)
     with pytest.raises(DeviceError, match="nothing came in 3 tries"):
         identify("drive", SETTINGS, talk, QUERY, "")
     assert talk.sent == 3

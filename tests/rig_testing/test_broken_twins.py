@@ -102,7 +102,7 @@ def stop_of_a_lost_link_raises(settings: Any, talk: Any) -> None:
 def takes_silence_for_off(settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
     """`disable` does not check that the controller answers."""
     control = VescControl(settings, send, clock, guard)
-    control._release = lambda: True
+    control._switch_off = lambda: ""
     return control
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import PROFILE_ACCELERATION, PROFILE_DECELERATION
+from daq.drivers.ramp import check_ramp
 from daq.errors import DeviceError
 
 _RAMP_S = 10
-_MAX_RAMP_DEVIATION = 0.05  # relative deviation of the drive's ramp from the requested one
 
 
 def set_ramps(objects: NodeObjects, rpm_per_s: float, units: float | None = None) -> None:
@@ -28,21 +28,17 @@ def set_ramps(objects: NodeObjects, rpm_per_s: float, units: float | None = None
     for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
         seconds = _ramp_seconds(objects, index)
         change = max(1, round(rpm_per_s * seconds))
-        if abs(change / seconds - rpm_per_s) > _MAX_RAMP_DEVIATION * rpm_per_s:
-            raise DeviceError(
-                f"drive: {rpm_per_s:g} rpm/s wanted; the time of its ramp ({index:04X}h sub 2) is fixed at "
-                f"{seconds} s, which allows whole rpm in {seconds} s only, as {change / seconds:g} rpm/s"
-            )
+        check_ramp(
+            rpm_per_s,
+            change / seconds,
+            f"the time of its ramp ({index:04X}h sub 2) is fixed at {seconds} s, which allows whole rpm in it only",
+        )
         objects.write(index, 1, change, 4)
 
 
 def _set_profile_ramps(objects: NodeObjects, rpm_per_s: float, units: float) -> None:
     rate = max(1, round(rpm_per_s * units))
-    if abs(rate / units - rpm_per_s) > _MAX_RAMP_DEVIATION * rpm_per_s:
-        raise DeviceError(
-            f"drive: {rpm_per_s:g} rpm/s wanted; the unit of its ramp allows {rate / units:g} rpm/s. Look at "
-            "ramp_units_per_rpm_per_s"
-        )
+    check_ramp(rpm_per_s, rate / units, "the unit of its ramp (ramp_units_per_rpm_per_s) is coarse")
     for index in (PROFILE_ACCELERATION, PROFILE_DECELERATION):
         objects.write(index, 0, rate, 4)
 

@@ -6,6 +6,7 @@ import queue
 from collections.abc import Callable
 from contextlib import suppress
 
+from daq.drivers.contract import LockControl
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
 from daq.items import DeviceEvent
@@ -17,8 +18,8 @@ _PINGS, _PING_EVERY_S = 20, 0.04  # seconds; the least of 20 is near the least d
 _ACCEPTED, _ALREADY = 0, 4
 
 
-class NodeLocks:
-    """See PendulumLocks.
+class NodeLocks(LockControl):
+    """See LockControl.
 
     Args:
         send: writes bytes to the node's dongle.
@@ -34,14 +35,14 @@ class NodeLocks:
         self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
     def heard(self, event: DeviceEvent) -> None:
-        """See PendulumLocks."""
+        """See LockControl."""
         if "node" in event.facts:
             self._node = event.facts["node"]
             return
         self._acknowledges.put(event)
 
     def command(self, action: str, check: Callable[[], None]) -> None:
-        """See PendulumLocks; a command without acknowledgement is repeated with the same seq."""
+        """See LockControl; a command without acknowledgement is repeated with the same seq."""
         self._seq = (self._seq + 1) & 0x7FFF
         payload = wire.NodeCommand(self._node, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
@@ -59,7 +60,7 @@ class NodeLocks:
         raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. {self._advice()}")
 
     def measure_round_trip(self) -> float | None:
-        """See MeasuresRoundTrip."""
+        """See LockControl."""
         sent_ns: dict[int, int] = {}
         found_ns: list[int] = []
         for _ in range(_PINGS):

@@ -239,7 +239,7 @@ def test_a_drive_that_stops_by_itself_ends_the_test(simulated: LockstepRig, cabl
         session.drive.enable()
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        session.drive._beat.stop()  # the host's heartbeat falls silent
+        session.drive._repeated["heartbeat"].stop()  # the host's heartbeat falls silent
         with pytest.raises(ProcedureError, match="without a command"):
             session.wait_for(lambda: False, 5.0, "nothing")
         assert simulated.ask("state")["drive"] != cia402.OPERATION_ENABLED

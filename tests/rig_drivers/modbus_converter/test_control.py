@@ -161,7 +161,7 @@ def test_a_stop_is_sent_to_a_converter_that_does_not_answer(bench: Bench) -> Non
     messages: list[str] = []
     assert bench.drive.stop(messages.append) is False
     assert abs(bench.rpm) < 1
-    assert "the stop is not confirmed" in messages[-1]
+    assert "the release is not confirmed" in messages[-1]
 
 
 def test_a_quick_stop_replaces_commands_that_wait(bench: Bench) -> None:
@@ -214,7 +214,7 @@ def test_no_command_follows_a_stop_that_interrupts_it(bench: Bench) -> None:
         if not urgent:
             bench.clock.wait(0.0)
             bench.drive._armed = False  # as a stop from another thread does
-            bench.drive._order_stop()
+            bench.drive._brake()
         return orders
 
     line.put = put_and_stop
@@ -229,7 +229,7 @@ def test_no_command_follows_a_stop_that_interrupts_it(bench: Bench) -> None:
 def test_a_converter_that_goes_on_running_is_not_released(bench: Bench) -> None:
     bench.drive.enable()
     bench.converter.fail("refuses", 6)
-    with pytest.raises(DeviceError, match="commanded to stop, its state is RUNNING"):
+    with pytest.raises(DeviceError, match="commanded to release the rotor, its state is RUNNING"):
         bench.drive.disable()
     assert bench.events("refused")
 
@@ -485,7 +485,7 @@ def test_a_converter_that_does_not_obey_a_stop_is_named(bench: Bench) -> None:
     messages: list[str] = []
     bench.converter.fail("refuses", 4)
     assert bench.drive.stop(messages.append) is False
-    assert "commanded to stop, its state is RUNNING: it answers, but does not obey" in messages[-1]
+    assert "commanded to release the rotor, its state is RUNNING: it answers, but does not obey" in messages[-1]
 
 
 def test_a_timeout_that_cannot_be_ended_stays_and_its_fault_is_reset() -> None:

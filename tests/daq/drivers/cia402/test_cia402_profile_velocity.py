@@ -136,7 +136,7 @@ def test_a_ramp_below_the_drives_unit_is_refused() -> None:
     bench = DriverBench(coarse)
     bench.begin()
     assert bench.control is not None
-    with pytest.raises(DeviceError, match="the unit of its ramp allows 100 rpm/s"):
+    with pytest.raises(DeviceError, match="the nearest ramp is 100 rpm/s"):
         bench.control.set_ramp(130.0)
 
 

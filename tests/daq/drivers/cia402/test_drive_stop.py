@@ -142,8 +142,8 @@ class FarEnd:
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_CONSTANT_S", 0.3)
-    monkeypatch.setattr("daq.drivers.run_down._REPEAT_S", 0.02)
-    monkeypatch.setattr("daq.drivers.cia402.control._ENABLE_S", 1.0)
+    monkeypatch.setattr("daq.drivers.run_down.REPEAT_S", 0.02)
+    monkeypatch.setattr(DriveControl, "enable_s", 1.0)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:
@@ -185,7 +185,7 @@ def test_a_drive_that_is_gone_is_released() -> None:
     far.gone = True
     with pytest.raises(LinkLost):
         far.control.stop()
-    assert far.control._beat is None
+    assert not far.control._repeated
 
 
 def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +201,7 @@ def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatc
     assert far.control.actual_rpm != far.control.actual_rpm
     assert far.control.state == cia402.UNKNOWN
     monkeypatch.undo()
-    far.control._beat.stop()
+    far.control._end()
 
 
 def test_emergencies_stand_until_they_are_reset() -> None:
@@ -280,7 +280,7 @@ def test_a_ramp_that_a_fixed_time_does_not_allow_is_refused() -> None:
         far._sdo.answer(struct.pack("<BHBHH", 0x2B, index, 2, 1, 0))
         far.fixed.add((index, 2))
     far.control.start()
-    with pytest.raises(DeviceError, match=r"0\.3 rpm/s wanted.*fixed at 1 s.*as 1 rpm/s"):
+    with pytest.raises(DeviceError, match=r"0\.3 rpm/s wanted.*fixed at 1 s.*the nearest ramp is 1 rpm/s"):
         far.control.set_ramp(0.3)
     far.control.stop()
 
@@ -317,14 +317,14 @@ def test_a_silent_drive_is_commanded_and_not_assumed_to_be_off() -> None:
             far.control.disable()
             assert far.control.stop() is True
             continue
-        with pytest.raises(DeviceError, match="it does not answer: the end of the torque is not confirmed"):
+        with pytest.raises(DeviceError, match="it does not answer: the release is not confirmed"):
             far.control.disable()
         assert far.controlwords()[-1] == cia402.SHUTDOWN
         messages: list[str] = []
         assert far.control.stop(messages.append) is False
-        assert any("the end of the torque is not confirmed" in text for text in messages)
+        assert any("the release is not confirmed" in text for text in messages)
         assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
-        assert far.control._beat is None
+        assert not far.control._repeated
 
 
 def test_a_heartbeat_that_did_not_go_out_once_goes_on() -> None:
@@ -363,7 +363,7 @@ def test_a_fault_that_comes_on_the_way_is_its_operators() -> None:
     far.state = cia402.FAULT
     far._sdo.objects[cia402.ERROR_CODE, 0] = (0x2320, "<H")
     far.control._statusword = cia402.STATES[cia402.FAULT_REACTION][1]
-    far.control._reported_ns = far.control._clock.now_ns()
+    far.control._report_ns = far.control._clock.now_ns()
     threading.Timer(0.05, far.speak).start()
     with pytest.raises(DeviceError, match="error code is 0x2320"):
         far.control.enable()
@@ -431,7 +431,7 @@ def test_a_drive_that_heeds_no_process_data_is_stopped_through_its_objects() -> 
         clock.wait(0.02)
     assert far.state == cia402.QUICK_STOP_ACTIVE
     assert 0.3 <= time.monotonic() - begun < 1.0
-    assert not far.control._beat_ended
+    assert "heartbeat" in far.control._repeated
     far.control.stop()
 
 
@@ -440,7 +440,7 @@ def test_a_drive_that_heeds_no_order_at_all_loses_the_heartbeat() -> None:
     far.runs(300)
     far.unheeded, far.brakes = True, False
     clock, begun = HostClock(), time.monotonic()
-    while not far.control._beat_ended and time.monotonic() < begun + 3:
+    while "heartbeat" in far.control._repeated and time.monotonic() < begun + 3:
         far.control.quick_stop()
         far.speak()
         clock.wait(0.02)
@@ -521,7 +521,7 @@ def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
     far.report = lambda identifier, data: None
-    far.control._reported_ns = 1  # its last report is long ago
+    far.control._report_ns = 1  # its last report is long ago
     assert far.control.stop() is False
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
 
@@ -530,7 +530,7 @@ def test_an_old_report_does_not_count_as_operation() -> None:
     far = FarEnd()
     far.runs(0)
     far.deaf_to_beats = False
-    far.control._reported_ns = 1
+    far.control._report_ns = 1
     far.speak = lambda: None
     with pytest.raises(DeviceError, match="expected OPERATION ENABLED"):
         far.control.enable()
