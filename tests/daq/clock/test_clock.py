@@ -93,21 +93,34 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
     assert first.map(np.array([123_456_789]), host_ns).tolist() == [host_ns]
 
 
+LARGEST = {"device_ns": 2**63 - 1, "host_ns": 1 - 2**63, "rate": -0.49, "wrap_ns": 1}
+
+
 @pytest.mark.parametrize(
     "seed",
     [
         3,
         {},
         {"device_ns": 1, "host_ns": 1, "rate": 0.0},
-        {"device_ns": 1, "host_ns": 1, "rate": 2.0, "wrap_ns": 9},
-        {"device_ns": 1.5, "host_ns": 1, "rate": 0.0, "wrap_ns": 9},
-        {"device_ns": 1, "host_ns": 1, "rate": float("nan"), "wrap_ns": 9},
-        {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0},
+        LARGEST | {"other": 1},
+        LARGEST | {"rate": 2.0},
+        LARGEST | {"rate": -2.0},
+        LARGEST | {"rate": 0},
+        LARGEST | {"rate": float("nan")},
+        LARGEST | {"device_ns": 1.5},
+        LARGEST | {"device_ns": 2**63},
+        LARGEST | {"host_ns": -(2**63)},
+        LARGEST | {"host_ns": True},
+        LARGEST | {"wrap_ns": 2**63},
+        LARGEST | {"wrap_ns": 0},
+        LARGEST | {"wrap_ns": -1},
     ],
 )
 def test_a_seed_that_no_clock_can_have_is_refused(seed: object) -> None:
     with pytest.raises(DeviceError, match=r"clocks\.json: expected device_ns"):
         ClockSeed.of({"clock_seed": seed})
+    assert asdict(ClockSeed.of({"clock_seed": LARGEST})) == LARGEST
+    assert ClockSeed.of({}) is None
 
 
 def test_samples_that_come_behind_newer_ones_change_nothing() -> None:
@@ -123,14 +136,24 @@ def test_samples_that_come_behind_newer_ones_change_nothing() -> None:
         assert mixed.map(device_ns, host_ns) == alone.map(device_ns, host_ns)
 
 
-@given(st.lists(st.integers(1, 2**17 - 1), min_size=1, max_size=50), st.integers(0, 2**18 - 1), st.data())
-def test_unwrap_continues_a_wrapping_counter(steps: list[int], start: int, data: st.DataObject) -> None:
+@pytest.mark.parametrize("kind", [np.uint8, np.int64])
+@given(st.lists(st.integers(-(2**7), 2**7 - 1), min_size=1, max_size=50), st.integers(0, 2**8 - 1), st.data())
+def test_unwrap_continues_a_wrapping_counter(kind: type, steps: list[int], start: int, data: st.DataObject) -> None:
+    """Each value is the nearest continuation of the one before it; half a turn is one backwards."""
     true = start + np.cumsum([0, *steps])
     cut = data.draw(st.integers(0, len(true)))
-    unwrap = Unwrap(2**18)
-    parts = [unwrap.feed(part % 2**18) for part in (true[:cut], true[cut:]) if len(part)]
-    found = np.concatenate(parts)
-    assert np.array_equal(found - found[0], true - true[0])
+    unwrap = Unwrap(2**8)
+    found = np.concatenate([unwrap.feed((part % 2**8).astype(kind)) for part in (true[:cut], true[cut:])])
+    assert np.array_equal(found, true)
+
+
+def test_a_line_without_jitter_has_the_rate_and_the_offset_of_the_record() -> None:
+    device_s = 100.0 + np.arange(0.0, 100.0, 0.05)
+    line = fit_line(device_s, 3.0 + device_s * (1 + 2e-5), 50.0)
+    assert line.rate == pytest.approx(2e-5, rel=1e-4)
+    assert line.host_s(device_s) == pytest.approx(3.0 + device_s * (1 + 2e-5), abs=1e-8)
+    assert line.jitter_s == pytest.approx(0.0, abs=1e-12)
+    assert 0.0 < line.rate_std < 1e-8
 
 
 @pytest.mark.parametrize("seconds", [6.0, 40.0])

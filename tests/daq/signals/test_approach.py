@@ -9,20 +9,8 @@ from hypothesis import given, settings, strategies as st
 
 from daq.signals.approach import bound
 from daq.signals.rounding import code_noise, half_width
+from tests.daq.signals.known_motions import WINDOW_S, average, means, windows
 from tests.effort import cases
-
-WINDOW_S = 1.02
-
-
-def windows(count: int) -> np.ndarray:
-    edges = np.arange(count + 1) * WINDOW_S
-    return np.stack([edges[:-1], edges[1:]], axis=1)
-
-
-def means(motion, edges: np.ndarray) -> np.ndarray:
-    """A motion with time counted back from the last window's end."""
-    share = np.linspace(0, 1, 101)
-    return motion(edges[:, :1] + np.diff(edges, axis=1) * share - edges[-1, 1]).mean(axis=1)
 
 
 def errors(seed: int, count: int, width: float) -> np.ndarray:
@@ -152,11 +140,6 @@ def test_windows_before_those_that_one_rate_fits_limit_what_two_rates_could_stil
     for width in (0.0045, 0.006, 0.0065, 0.009):
         assert 0.012 < bound(edges, np.array(values), width, 6.0).remaining < 0.1
     assert bound(edges[7:], np.array(values[7:]), 0.006, 6.0).remaining > 0.5
-
-
-def average(rate: float, begin: float, end: float) -> float:
-    """Mean of e^{−rate t} from begin to end."""
-    return (math.exp(-rate * begin) - math.exp(-rate * end)) / (rate * (end - begin))
 
 
 def approach(rate: float, count: int) -> np.ndarray:

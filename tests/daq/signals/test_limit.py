@@ -11,23 +11,12 @@ import daq.signals.limit as limit_module
 from daq.signals.limit import ApproachLimit, limit
 from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
 from tests.count_limits import mean_limit, share_limits, square_limits
+from tests.daq.signals.known_motions import WINDOW_S, means, windows
 from tests.effort import cases
 
-WINDOW_S = 1.02
 STEP = 2 * math.pi / 4096
 
 Motion = Callable[[np.ndarray], np.ndarray]
-
-
-def windows(count: int) -> np.ndarray:
-    edges = np.arange(count + 1) * WINDOW_S
-    return np.stack([edges[:-1], edges[1:]], axis=1)
-
-
-def means(motion: Motion, edges: np.ndarray) -> np.ndarray:
-    """Of a motion with time counted from the last window's end."""
-    share = np.linspace(0, 1, 41)
-    return motion(edges[:, :1] + np.diff(edges, axis=1) * share - edges[-1, 1]).mean(axis=1)
 
 
 def white(count: int, quantities: int, std: float = 1.0) -> np.ndarray:
@@ -108,7 +97,6 @@ def test_intervals_hold_the_limit_of_a_rounded_angle(noise_steps: float, monkeyp
         own = (noise_steps**2 + 1 / 12) / 1000 * STEP**2 * np.eye(20)
         noise = np.stack([own + rounding_covariance(terms, STEP, column) for column in seen.T])
         found = limit(edges, seen, noise)
-        assert found is not None
         std = np.sqrt(np.diag(found.covariance))
         off.append((found.values - end) / std)
         claimed.append(std / STEP)
@@ -124,7 +112,6 @@ def test_a_standing_code_leaves_a_step_over_root_twelve_however_long_it_stands()
         seen = np.full((count, 1), 1.25)
         noise = rounding_covariance(rounding_terms(STEP, 0.0), STEP, seen[:, 0])[None]
         found = limit(windows(count), seen, noise)
-        assert found is not None
         assert found.values[0] == pytest.approx(1.25, abs=0.2 * STEP)
         assert 0.98 < math.sqrt(found.covariance[0, 0]) / (STEP / math.sqrt(12)) < 2.0
 
@@ -180,7 +167,6 @@ def test_means_that_wander_beyond_their_noise_are_refused_or_widened() -> None:
     outliers = rng.standard_normal((20, 2))
     assert limit(edges, outliers, white(20, 2, 0.1)) is None
     wider = limit(edges, outliers, white(20, 2, 0.5))
-    assert wider is not None
     assert np.all(wider.scatter > 1.5)
 
 
@@ -189,7 +175,6 @@ def test_an_approach_that_is_extrapolated_costs_its_share() -> None:
     edges = windows(20)
     seen = np.stack([means(lambda t: 50 * np.exp(-0.2 * t), edges)] * 2, axis=1)
     found = limit(edges, seen, white(20, 2, 0.1))
-    assert found is not None
     assert found.to_come == pytest.approx([-50, -50], rel=0.02)
     assert found.model == "one rate"
     assert found.rate_per_s == pytest.approx(0.2, rel=0.05)
@@ -206,7 +191,6 @@ def test_slow_rotors_and_signals_without_noise_leave_finite_numbers(window_s: fl
         assert np.all(np.isfinite(found.values))
         assert np.all(np.diag(found.covariance) > 0)
     standing_still = limit(edges, np.full((30, 2), 2.0), white(30, 2, noise))
-    assert standing_still is not None
     assert standing_still.values == pytest.approx([2.0, 2.0], abs=noise)
 
 
@@ -220,7 +204,6 @@ def test_what_moves_late_may_be_little() -> None:
         means = np.exp(-0.19 * t)[:, None] * fast + np.exp(-0.08 * t)[:, None] * slow
         means = means + 2e-3 * rng.standard_normal(means.shape)
         found = limit(edges, means, np.tile(4e-6 * np.eye(30), (4, 1, 1)))
-        assert found is not None
         z += list(found.values / np.sqrt(np.diag(found.covariance)))
     assert np.mean(np.square(z)) < 4.0  # 9 if a slow part is expected to be as large as the whole motion
 
@@ -241,7 +224,6 @@ def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
         motions += [lambda t, d=d: 6800 * d * (1 - np.cos(angle(t))) for d in directions]
         seen = np.stack([means(m, edges) for m in motions], axis=1)
         found = limit(edges, seen + rng.standard_normal(seen.shape), white(30, 4))
-        assert found is not None
         far += found.values @ np.linalg.solve(found.covariance, found.values) > 14.9  # 0.5 % of cases
     assert far <= cases(0, 1)
 
@@ -265,7 +247,6 @@ def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
         seen = seen + rng.standard_normal(seen.shape)
         for name, bends in (("looked for", expected), ("not", None)):
             found = limit(edges, seen, white(30, 4), bends)
-            assert found is not None
             pulled[name].append(found.values / np.sqrt(np.diag(found.covariance)))
     z = np.array(pulled["looked for"])
     assert np.abs(z.mean(axis=0)).max() < mean_limit(len(z), 40, 0.4)
@@ -278,7 +259,5 @@ def test_no_square_is_looked_for_where_its_size_is_zero() -> None:
     seen = np.stack([means(lambda t, a=a: a * np.exp(-0.2 * t), edges) for a in (3.0, -2.0)], axis=1)
     seen = seen + np.random.default_rng(5).standard_normal(seen.shape)
     with_none, without = limit(edges, seen, white(20, 2), lambda _: np.zeros(2)), limit(edges, seen, white(20, 2))
-    assert with_none is not None
-    assert without is not None
     assert with_none.values == pytest.approx(without.values, abs=1e-3)
     assert with_none.covariance == pytest.approx(without.covariance, rel=1e-2, abs=1e-3)

@@ -80,8 +80,6 @@ def test_amplitudes_have_the_larger_part_of_the_noise() -> None:
     edges = whole_revolutions(marks, phases, 1.0, WINDOWS)
     vectors = orbit_means(t, x, t, x, marks, phases, edges, 9)
     sizes = amplitude_means(t, x, t, x, marks, phases, edges, 9)
-    assert vectors is not None
-    assert sizes is not None
     assert sizes.noise[0] == pytest.approx(vectors.noise[:2].max(), rel=0.1)
     assert sizes.width == pytest.approx(3.5 * sizes.noise)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
+from tests.daq.signals.known_motions import average
 from tests.effort import cases
 
 STEP = 2 * np.pi / 4096
@@ -93,39 +94,20 @@ def test_creeping_pendulum_is_not_settled_though_the_amplitude_stands() -> None:
         assert "pendulum angles drift" in result.why
 
 
-def test_slipping_is_recognised() -> None:
-    result = judge(lambda t: -8.0 * t)
-    assert result.slipping
-    assert not result.settled
-    assert "pendulum A slips" in result.why
-
-
 def test_swinging_over_once_and_decaying_is_not_slipping() -> None:
     assert not judge(lambda t: 4.0 * (1 - np.exp(-0.6 * np.maximum(t - 22.0, 0)))).slipping
 
 
-def test_amplitude_that_still_decays_is_not_settled() -> None:
-    result = judge(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 3e-4 * np.exp(-0.3 * (t - 20.0)))
-    assert not result.settled
-    assert "amplitudes" in result.why
-
-
 def test_short_or_sparse_signals_are_not_settled() -> None:
     assert "fewer than" in judge(lambda t: 0 * t, duration=5.0).why
-    data = list(signals(lambda t: 0 * t))
-    data[5] = np.full_like(data[5], np.nan)
-    assert "displacements" in settled(RotorSignals(*data)).why
-    data = list(signals(lambda t: 0 * t))
-    data[0], data[1] = data[0][:10], data[1][:10]
-    assert "angles" in settled(RotorSignals(*data)).why
-    empty = np.empty(0)
-    assert not settled(RotorSignals(empty, np.empty((0, 2)), empty, empty, empty, empty, empty, empty)).settled
-
-
-def test_speed_that_changes_is_not_settled() -> None:
-    data = list(signals(lambda t: 0 * t))
-    data[3] = data[3] + 0.02 * data[2] ** 2
-    assert "speed" in settled(RotorSignals(*data)).why
+    assert not settled(RotorSignals(*[np.empty((0, 2)) if j == 1 else np.empty(0) for j in range(8)])).settled
+    data = signals(lambda t: 0 * t)
+    for silent, what in ((1, "pendulum angles"), (5, "displacements"), (7, "displacements")):
+        parts = RotorSignals(*[np.full_like(part, np.nan) if j == silent else part for j, part in enumerate(data)])
+        for decide in (settled, locked_settled)[: 1 + (silent > 1)]:
+            assert decide(parts).why == f"too many samples of the {what} are missing"
+    few = settled(RotorSignals(data[0][:10], data[1][:10], *data[2:]))
+    assert few.why == "too many samples of the pendulum angles are missing"
 
 
 def test_locked_orbit_decays_before_it_is_steady() -> None:
@@ -261,11 +243,6 @@ WINDOW_S = TURNS * 2 * math.pi / SPEED
 DEGREE = math.radians(1.0)
 
 
-def average(rate: float, begin: float, end: float) -> float:
-    """Mean of e^{−rate t} from begin to end."""
-    return (math.exp(-rate * begin) - math.exp(-rate * end)) / (rate * (end - begin))
-
-
 def clean(offset, *, amplitude=lambda t: 1e-3 + 0 * t, duration: float = 30.0, speed=lambda t: SPEED * t):
     """Signals without noise and rounding: A at offset(t), B opposite at rest; x and 0.7 times as much along y."""
     t = np.arange(0, duration, 2e-3)
@@ -276,6 +253,10 @@ def clean(offset, *, amplitude=lambda t: 1e-3 + 0 * t, duration: float = 30.0, s
     return t, angles, marks, speed(marks), laser, x, laser, y
 
 
+def judged(data, *limits: SettlingLimits, **since: float) -> Settling:
+    return settled(RotorSignals(*data), *limits, angle_step_rad=0.0, **since)
+
+
 def released(change_a: float, change_b: float = 0.0, *, at: float = 15.0, earlier: float = 0.0):
     data = list(clean(lambda t: 0 * t))
     after = (data[0] > at)[:, None]
@@ -284,77 +265,54 @@ def released(change_a: float, change_b: float = 0.0, *, at: float = 15.0, earlie
     return data
 
 
-def test_missing_signals_are_named() -> None:
-    data = clean(lambda t: 0 * t)
-    empty = np.full_like(data[1], np.nan)
-    assert settled(RotorSignals(data[0], empty, *data[2:])).why == "too many samples of the pendulum angles are missing"
-    silent = np.full_like(data[7], np.nan)
-    assert settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
-    assert locked_settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
-
-
 def test_span_and_drifts_are_those_of_the_windows() -> None:
-    data = clean(lambda t: 0.5 * DEGREE * np.exp(-0.3 * (t - 29.877)), amplitude=lambda t: 1e-3 + 2e-8 * t)
-    found = settled(RotorSignals(*data), angle_step_rad=0.0)
-    last = data[2][-1]
-    step = (
-        0.5
-        * DEGREE
-        * abs(
-            average(0.3, last - WINDOW_S - 29.877, last - 29.877)
-            - average(0.3, last - 2 * WINDOW_S - 29.877, last - WINDOW_S - 29.877)
-        )
-    )
-    assert found.drift_rad == pytest.approx(step, rel=1e-3)
+    rate, end = 0.3, clean(lambda t: 0 * t)[2][-1]
+    data = clean(lambda t: 0.5 * DEGREE * np.exp(-rate * (t - end)), amplitude=lambda t: 1e-3 + 2e-8 * t)
+    found = judged(data)
+    step = average(rate, -WINDOW_S, 0.0) - average(rate, -2 * WINDOW_S, -WINDOW_S)
+    assert found.drift_rad == pytest.approx(0.5 * DEGREE * abs(step), rel=1e-3)
     assert found.drift_m == pytest.approx(2e-8 * WINDOW_S, rel=1e-3)
     assert found.span_s == pytest.approx(29 * WINDOW_S)
-    since = settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=10.0)
-    assert since.span_s == pytest.approx(19 * WINDOW_S)
+    assert judged(data, release_time_s=10.0).span_s == pytest.approx(19 * WINDOW_S)
 
 
-def test_nine_windows_are_enough_and_eight_are_not() -> None:
+def test_a_decision_needs_its_least_number_of_windows() -> None:
     data = clean(lambda t: 1.0 + 0 * t)
-    end = data[2][-1]
-    assert settled(
-        RotorSignals(*data), SettlingLimits(linger_s=0.0), release_time_s=end - 9.01 * WINDOW_S
-    ).span_s == pytest.approx(9 * WINDOW_S)
-    short = settled(RotorSignals(*data), release_time_s=end - 8.99 * WINDOW_S)
-    assert (short.settled, short.slipping, short.span_s, short.remaining_rad) == (False, False, 0.0, math.inf)
-    assert (short.remaining_m, short.more_s) == (math.inf, math.inf)
-    assert math.isnan(short.drift_rad)
-    assert math.isnan(short.drift_m)
-    assert short.why == "fewer than 9 windows of 1 s since release"
-    signals = [part[data[j - j % 2] <= 8.9 * WINDOW_S] for j, part in enumerate(data)]
-    assert locked_settled(RotorSignals(*signals)).why == "fewer than 9 windows of 1 s at speed"
-    enough = [part[data[j - j % 2] <= 9.2 * WINDOW_S] for j, part in enumerate(data)]
-    assert locked_settled(RotorSignals(*enough)).span_s == pytest.approx(9 * WINDOW_S)
+    for windows in (9, 12):
+        limits, end = SettlingLimits(linger_s=0.0, windows=windows), data[2][-1]
+        enough = judged(data, limits, release_time_s=end - (windows + 0.01) * WINDOW_S)
+        short = judged(data, limits, release_time_s=end - (windows - 0.01) * WINDOW_S)
+        assert enough.span_s == pytest.approx(windows * WINDOW_S)
+        assert (short.settled, short.slipping, short.span_s) == (False, False, 0.0)
+        assert (short.remaining_rad, short.remaining_m, short.more_s) == (math.inf,) * 3
+        assert math.isnan(short.drift_rad) is math.isnan(short.drift_m) is True
+        assert short.why == f"fewer than {windows} windows of 1 s since release"
+    early, late = (
+        locked_settled(RotorSignals(*[part[data[j - j % 2] <= count * WINDOW_S] for j, part in enumerate(data)]))
+        for count in (8.9, 9.2)
+    )
+    assert early.why == "fewer than 9 windows of 1 s at speed"
+    assert late.span_s == pytest.approx(9 * WINDOW_S)
 
 
-def test_the_sentence_has_remaining_change_limit_and_time() -> None:
-    data = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
-    found = settled(RotorSignals(*data), angle_step_rad=0.0)
-    left, rate = math.degrees(found.remaining_rad), 0.2
-    assert found.more_s == pytest.approx(math.log(left / 0.1) / rate, rel=0.1)
-    assert found.why == (
-        f"pendulum angles may still change by {left:.2g}°, the limit is 0.1°; about {math.ceil(found.more_s)} s more"
-    )
-    assert found.approaching
-    orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
-    found = settled(RotorSignals(*orbit), angle_step_rad=0.0)
-    left = 1e6 * found.remaining_m
-    assert left == pytest.approx(50.0, rel=0.4)
-    assert found.more_s == pytest.approx(math.log(left / 3.0) / rate, rel=0.1)
-    assert found.why == (
-        f"amplitudes may still change by {left:.2g} µm, the limit is 3 µm; about {math.ceil(found.more_s)} s more"
-    )
-    locked = locked_settled(RotorSignals(*orbit))
-    left = 1e6 * locked.remaining_m
-    assert locked.more_s == pytest.approx(math.log(left / 5.0) / rate, rel=0.1)
-    assert locked.why == (
-        f"amplitudes may still change by {left:.2g} µm, the limit is 5 µm; about {math.ceil(locked.more_s)} s more"
-    )
-    assert math.isnan(locked.drift_rad)
-    assert math.isnan(locked.remaining_rad)
+@pytest.mark.parametrize(
+    ("what", "tolerance", "unit"), [("pendulum angles", 0.1, "°"), ("amplitudes", 3.0, " µm"), ("locked", 5.0, " µm")]
+)
+def test_the_sentence_has_remaining_change_limit_and_time(what: str, tolerance: float, unit: str) -> None:
+    if what == "pendulum angles":
+        found = judged(clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0))))
+        left = math.degrees(found.remaining_rad)
+    else:
+        data = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
+        found = locked_settled(RotorSignals(*data)) if what == "locked" else judged(data)
+        left = 1e6 * found.remaining_m
+        assert left == pytest.approx(50.0, rel=0.4)
+        assert math.isnan(found.drift_rad) is math.isnan(found.remaining_rad) is (what == "locked")
+    of = "amplitudes" if what == "locked" else what
+    more = f"the limit is {tolerance:g}{unit}; about {math.ceil(found.more_s)} s more"
+    assert found.why == f"{of} may still change by {left:.2g}{unit}, {more}"
+    assert found.more_s == pytest.approx(math.log(left / tolerance) / 0.2, rel=0.1)
+    assert found.approaching is (what != "locked")
 
 
 def test_the_longer_of_both_times_counts() -> None:
@@ -378,12 +336,9 @@ def test_a_drift_is_named_per_window() -> None:
 def test_slack_multiplies_both_limits() -> None:
     angle = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
     orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
-    assert "the limit is 0.3°" in settled(RotorSignals(*angle), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
-    assert "the limit is 9 µm" in settled(RotorSignals(*orbit), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
-    assert (
-        settled(RotorSignals(*angle), SettlingLimits(slack=20.0), angle_step_rad=0.0).why
-        == "angles and amplitudes are steady"
-    )
+    assert "the limit is 0.3°" in judged(angle, SettlingLimits(slack=3.0)).why
+    assert "the limit is 9 µm" in judged(orbit, SettlingLimits(slack=3.0)).why
+    assert judged(angle, SettlingLimits(slack=20.0)).why == "angles and amplitudes are steady"
 
 
 def test_mean_off_is_that_of_the_stated_period() -> None:
@@ -391,13 +346,11 @@ def test_mean_off_is_that_of_the_stated_period() -> None:
         lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)), amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0))
     )
     for seconds in (2.0, 6.0):
-        found = settled(RotorSignals(*data), SettlingLimits(average_s=seconds), angle_step_rad=0.0)
+        found = judged(data, SettlingLimits(average_s=seconds))
         more = average(0.2, -seconds, 0.0)
         assert found.mean_off_rad / found.remaining_rad == pytest.approx(more, rel=0.1)
         assert found.mean_off_m / found.remaining_m == pytest.approx(more, rel=0.1)
-    assert settled(RotorSignals(*data), angle_step_rad=0.0) == settled(
-        RotorSignals(*data), SettlingLimits(average_s=2.0), angle_step_rad=0.0
-    )
+    assert judged(data) == judged(data, SettlingLimits(average_s=2.0))
 
 
 @pytest.mark.parametrize("gain", [2.2e-4, -2.2e-4])
@@ -443,25 +396,18 @@ def test_a_pair_with_its_gap_at_release_is_not_accepted(change_a: float, change_
 
 def test_the_gap_at_release_is_that_of_the_last_half_second() -> None:
     data = released(0.0, earlier=DEGREE * 90)
-    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
+    assert not judged(data, release_time_s=15.0).settled
     data[1][(data[0] > 14.7) & (data[0] < 14.9), 1] = np.nan
-    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
+    assert not judged(data, release_time_s=15.0).settled
     data[1][data[0] <= 15.0] = np.nan
-    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
-
-
-def test_a_pair_that_stays_for_half_a_minute_is_accepted() -> None:
-    data = clean(lambda t: 0 * t, duration=41.0)
-    end = data[2][-1]
-    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 30.5).settled
-    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 29.5).settled
+    assert judged(data, release_time_s=15.0).settled
 
 
 def test_a_turning_pendulum_is_named_with_its_turns() -> None:
     for rate, sign in ((1.3, "+"), (-1.3, "−".replace("−", "-"))):
         data = list(clean(lambda t: 0 * t))
         data[1] = data[1] + np.stack([0 * data[0], rate * data[0]], axis=1)
-        found = settled(RotorSignals(*data), angle_step_rad=0.0)
+        found = judged(data)
         turns = 1.3 * 8 * WINDOW_S / (2 * math.pi)
         assert found.why == f"pendulum B slips: {sign}{turns:.1f} turns relative to the rotor in the last windows"
         assert (found.slipping, found.settled, found.more_s, found.approaching) == (True, False, math.inf, False)

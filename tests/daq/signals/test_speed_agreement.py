@@ -35,7 +35,6 @@ def compared(
 )
 def test_a_drive_that_is_right_agrees_on_every_ramp(true_rpm: float, slip: float, ramp: float, late_s: float) -> None:
     found = compared(true_rpm, 1 + slip, ramp_rpm_s=ramp if ramp < true_rpm / 4 else 0.0, late_s=late_s)
-    assert found is not None
     assert found.agrees, found.words
 
 
@@ -47,7 +46,6 @@ def test_a_drive_that_is_right_agrees_on_every_ramp(true_rpm: float, slip: float
 def test_a_wrong_number_of_pole_pairs_is_found_and_named(true: int, set_: int, named: str, ramp: float) -> None:
     """A drive divides the electrical speed by the number set, so it reports true/set of the rotor's speed."""
     found = compared(544.0, true / set_, ramp_rpm_s=ramp, span_s=6.0)
-    assert found is not None
     assert not found.agrees
     assert f"likely {named}. " in found.words
     assert "544 rpm" in found.words or ramp
@@ -59,23 +57,18 @@ def test_a_wrong_number_of_pole_pairs_is_found_and_named(true: int, set_: int, n
 )
 def test_a_wrong_unit_is_named(scale: float, named: str) -> None:
     found = compared(900.0, scale)
-    assert found is not None
     assert named in found.words
 
 
 @pytest.mark.parametrize("share", [0.97, 1.04, 0.947])
 def test_a_slow_drive_is_found_without_a_ratio_that_it_is_not(share: float) -> None:
     found = compared(700.0, share)
-    assert found is not None
     assert not found.agrees
     assert "no simple ratio" in found.words
 
 
 def test_the_uncertainty_follows_the_interval_and_the_change_of_speed() -> None:
     steady, short, ramp = compared(600.0), compared(600.0, span_s=0.7), compared(600.0, ramp_rpm_s=60.0)
-    assert steady is not None
-    assert short is not None
-    assert ramp is not None
     assert steady.ratio_std < short.ratio_std < ramp.ratio_std
 
 
