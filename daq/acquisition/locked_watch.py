@@ -77,9 +77,9 @@ class LockedWatch:
         return found
 
     def _moved(self, held: _Held, name: str, first_ns: int, last_ns: int, theta: NDArray[np.floating]) -> str:
-        angle = float(np.median(theta))
         if held.closed_ns is None:
             held.closed_ns = first_ns
+        angle = _median(theta)
         if math.isnan(angle) or last_ns - held.closed_ns < SETTLE_S * 1e9:
             return ""
         if math.isnan(held.at_rad):
@@ -96,3 +96,10 @@ class LockedWatch:
             f"pendulum {name} has moved by {off_deg:.1f}° although its lock is reported closed. Look at the lock's "
             "mechanism and at the pendulum on its shaft; what was recorded with it as locked is wrong"
         )
+
+
+def _median(values: NDArray[np.floating]) -> float:
+    """Return the median of a few values, for which a sorted list is faster than `np.median`; NaN if one is NaN."""
+    ordered: list[float] = np.sort(values).tolist()  # NaN last
+    middle = len(ordered) // 2
+    return ordered[-1] if math.isnan(ordered[-1]) else 0.5 * (ordered[middle] + ordered[-1 - middle])

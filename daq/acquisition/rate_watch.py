@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.channel_watch import HOST
-from daq.clock import lower_line
+from daq.clock import lower_line, steps_from
 from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
 from daq.items import Batch, DeviceEvent
@@ -120,7 +120,7 @@ class RateWatch:
             if passed < 0 or max(passed_host, abs(passed - passed_host)) > _MAX_GAP_NS:
                 self._bins.clear()
             # step by step, since a counter of a few bits begins again several times in one read
-            self._count += int(np.sum(np.diff(sequence, prepend=self._last[2]) % self._wrap))
+            self._count += int(np.sum(steps_from(self._last[2], sequence) % self._wrap))
         self._last = device_ns, host_ns, int(sequence[-1])
         number, lag = device_ns // _BIN_NS, host_ns - device_ns
         if self._bins and self._bins[-1][0] == number:

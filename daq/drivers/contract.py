@@ -42,8 +42,9 @@ class DeviceLine:
     @classmethod
     def of(cls, settings: Any) -> DeviceLine:
         """Return the line with the port, rates, parity and stop bits that a device's settings have."""
-        given = {each.name: getattr(settings, each.name) for each in fields(cls) if hasattr(settings, each.name)}
-        return cls(**({"baud": ADAPTER_BAUD} if "bitrate" in given else {}) | given)
+        names = [each.name for each in fields(cls) if hasattr(settings, each.name)]
+        given: dict[str, Any] = {"baud": ADAPTER_BAUD} if "bitrate" in names else {}
+        return cls(**given | {name: getattr(settings, name) for name in names})
 
 
 @dataclass(frozen=True)

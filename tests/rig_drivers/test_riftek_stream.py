@@ -77,7 +77,7 @@ def test_displacement_is_zero_in_the_middle_and_grows_with_the_distance() -> Non
     batches, _ = feed(pipeline(config), [(wire.results([8192, 8193, 677], [0, 1, 2]), START_NS)])
     expected = np.array([0.0, 1.0, 677 - 8192]) * 0.05 / 16384 / 0.5
     assert column(batches, "displacement_m") == pytest.approx(expected)
-    assert batches[0].channel is channels.LASER_X
+    assert batches[0].channel == channels.LASER_X
     assert set(batches[0].columns) == {name for name, _ in channels.LASER_X.fields}
 
 
