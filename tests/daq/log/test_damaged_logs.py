@@ -3,7 +3,6 @@
 import struct
 import zlib
 
-import mcap.writer as library
 import numpy as np
 import pytest
 
@@ -15,11 +14,13 @@ from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import DamageError
 from daq.mcap.summary_reader import read_summary
 from daq.mcap.writer import LIBRARY, MAGIC, BlockWriter
+from tests.daq.mcap.written import foreign, written
 from tests.effort import cases
 
 SHAPES = campaign.shapes()
-FINISHED = {shape.name: shape for shape in SHAPES if shape.finished}
-SMALL = FINISHED["finished none, 25 samples a chunk"]
+NAMED = {shape.name: shape for shape in SHAPES}
+SMALL, CUT = (NAMED[f"{state} none, 25 samples a chunk"] for state in ("finished", "unfinished"))
+T0, STEP_NS = campaign.T0, 10**7  # a chunk
 
 
 @pytest.fixture
@@ -42,112 +43,111 @@ def test_nothing_wrong_and_nothing_lost_in_silence(path, kind):
         campaign.check_file(path, shape, kind, rng)
 
 
-def chunk_places(data):
-    return campaign.chunk_spans(data)
+def places_of(shape):
+    return campaign.chunk_spans(shape.data)
 
 
-def test_a_damaged_chunk_is_described_by_the_index(path):
-    data = bytearray(SMALL.data)
-    start, end = chunk_places(data)[3]
-    data[end - 5] ^= 1
+def put(path, shape, *changes):
+    """Write the log with other bytes at some places."""
+    data = bytearray(shape.data)
+    for at, new in changes:
+        data[at : at + len(new)] = new
     path.write_bytes(data)
+
+
+def flipped(shape, at):
+    return at, bytes([shape.data[at] ^ 1])
+
+
+def copied(shape, source, to):
+    return to, shape.data[slice(*source)]
+
+
+@pytest.mark.parametrize("name", ["finished none", "unfinished zstd"])
+def test_a_damaged_chunk_is_described_by_the_index_or_its_message_indexes(path, name):
+    shape = NAMED[f"{name}, 25 samples a chunk"]
+    start, end = places_of(shape)[3]
+    put(path, shape, flipped(shape, end - 5))
     with open_log(path) as log:
-        assert log.complete  # nothing has been read yet
-        assert len(log["laser/x"]) == SMALL.laser - 25
-        (place,) = log.missing
-        assert (place.byte_start, place.byte_end) == (start, end)
-        assert place.start_ns == place.end_ns == campaign.T0 + 4 * 10**7
+        assert log.complete is shape.finished  # nothing has been read yet
+        assert len(log["laser/x"]) == log.count("laser/x") == shape.laser - 25
+        place, *cut = log.missing
+        assert place.byte_start == start
+        assert place.start_ns == T0 + 4 * STEP_NS
         assert (place.topics, place.messages) == (("laser/x", "raw/laser_x", "tacho"), 27)
-        assert log.count("laser/x") == SMALL.laser - 25
-        (again,) = log.verify()
-        assert (again.byte_start, again.topics, again.messages) == (start, place.topics, 27)
-        assert "27 messages of laser/x, raw/laser_x, tacho" in str(again)
+        assert "27 messages of laser/x, raw/laser_x, tacho" in str(place)
+        if shape.finished:
+            assert (place.byte_end, place.end_ns) == (end, place.start_ns)
+        log.verify()
+        assert (log.missing[0].byte_start, log.missing[0].messages) == (start, 27)
+        rest = [] if shape.finished else [(len(shape.data), T0 + 12 * STEP_NS, None)]
+        assert [(each.byte_start, each.start_ns, each.messages) for each in cut] == rest
 
 
 @pytest.mark.parametrize("shape", [s for s in SHAPES if " 25 samples a chunk" in s.name], ids=lambda shape: shape.name)
 def test_damage_across_the_end_of_a_chunk_is_one_place(path, shape):
     """A bad sector destroys a chunk's end and the beginning of its message indexes: one place, counted once."""
-    data = bytearray(shape.data)
-    (start, end), (following, _) = chunk_places(data)[3:5]
-    data[end - 8 : end + 9] = bytes(17)
-    path.write_bytes(data)
+    (start, end), (following, _) = places_of(shape)[3:5]
+    put(path, shape, (end - 8, bytes(17)))
     with open_log(path) as log:
         log.verify()
-        ours = [
-            place for place in log.missing if place.byte_start is not None and start <= place.byte_start < following
-        ]
-    assert len(ours) == 1
-    assert ours[0].byte_start == start
-
-
-def test_a_damaged_chunk_of_an_unfinished_log_is_described_by_its_message_indexes(path):
-    shape = next(shape for shape in SHAPES if shape.name == "unfinished zstd, 25 samples a chunk")
-    data = bytearray(shape.data)
-    start, end = chunk_places(data)[3]
-    data[end - 5] ^= 1
-    path.write_bytes(data)
-    with open_log(path) as log:
-        place, cut = log.missing
-        assert place.byte_start == start
-        assert (place.topics, place.messages) == (("laser/x", "raw/laser_x", "tacho"), 27)
-        assert place.start_ns == campaign.T0 + 4 * 10**7
-        assert (cut.byte_start, cut.start_ns, cut.messages) == (len(data), campaign.T0 + 12 * 10**7, None)
+        starts = [place.byte_start for place in log.missing if place.byte_start is not None]
+    assert [at for at in starts if start <= at < following] == [start]
 
 
 def test_a_chunk_without_a_trace_is_located_by_its_neighbours(path):
-    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
-    data = bytearray(shape.data)
-    (start, _), (following, _) = chunk_places(data)[3:5]
-    data[start:following] = b"\xff" * (following - start)
-    path.write_bytes(data)
+    (start, _), (following, _) = places_of(CUT)[3:5]
+    put(path, CUT, (start, b"\xff" * (following - start)))
     with open_log(path) as log:
         place = log.missing[0]
-        assert (place.byte_start, place.byte_end) == (start, following)
-        assert (place.start_ns, place.end_ns) == (campaign.T0 + 3 * 10**7, campaign.T0 + 5 * 10**7)
-        assert place.messages is None
+        assert (place.byte_start, place.byte_end, place.messages) == (start, following, None)
+        assert (place.start_ns, place.end_ns) == (T0 + 3 * STEP_NS, T0 + 5 * STEP_NS)
 
 
-def test_swapped_chunks_are_found_where_they_stand(path):
+@pytest.mark.parametrize("shape", [SMALL, CUT], ids=lambda shape: shape.name)
+def test_swapped_chunks_are_found_where_they_stand(path, shape):
     """Their heads differ from the index, so the file is walked, and nothing is lost."""
-    data = bytearray(SMALL.data)
-    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
-    assert a_end - a == b_end - b
-    data[a:a_end], data[b:b_end] = data[b:b_end], data[a:a_end]
-    path.write_bytes(data)
+    a, b = places_of(shape)[2:4]
+    put(path, shape, copied(shape, a, b[0]), copied(shape, b, a[0]))
     with open_log(path) as log:
-        assert len(log["laser/x"]) == SMALL.laser
+        assert len(log["laser/x"]) == shape.laser
         assert log.missing
-        assert all(place.messages == 0 for place in log.missing)
+        assert not any(place.messages for place in log.missing)
 
 
-def test_a_chunk_copied_over_another_counts_once(path):
-    data = bytearray(SMALL.data)
-    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
-    data[b:b_end] = data[a:a_end]
-    path.write_bytes(data)
-    with open_log(path) as log:
-        assert len(np.unique(log["laser/x"].code)) == len(log["laser/x"]) == SMALL.laser - 25
-        assert any("used once" in str(place) and place.messages == 27 for place in log.missing)
+# --- copies of chunks ------------------------------------------------------------------------------------------------
 
 
-def alike_chunks(finished):
+def alike(finished):
     """A log whose chunks 1 and 2 differ in their samples only: same log time and size; and their positions."""
     shape = campaign.make_shape("none", finished, 1, 170, 1, 3250)
-    (a, a_end), (b, b_end) = chunk_places(shape.data)[1:3]
-    assert a_end - a == b_end - b
-    assert shape.data[a : a + 33] == shape.data[b : b + 33]
-    return shape, (a, a_end), (b, b_end)
+    a, b = places_of(shape)[1:3]
+    assert shape.data[a[0] : a[0] + 33] == shape.data[b[0] : b[0] + 33]
+    return shape, a, b
 
 
-def check_every_way(path, samples, lost):
-    """Check by the index, in a window, after a walk and in the recovered log; `lost` is the expected number."""
+def copies():
+    """Shapes with a chunk copied over something, and the expected numbers of samples and of missing messages."""
+    for finished in (True, False):  # only the CRC shows that it is the same chunk
+        shape, a, b = alike(finished)
+        yield shape, copied(shape, a, b[0]), 120, 50 if finished else None
+    a, b = places_of(SMALL)[2:4]
+    yield SMALL, copied(SMALL, a, b[0]), SMALL.laser - 25, 27
+    behind_head = copied(SMALL, (a[0] + 33, a[1]), b[0] + 33)  # the times in the head still match the index
+    yield SMALL, behind_head, SMALL.laser - 25, 27
+    start, end = next((start, end) for opcode, start, end in campaign.record_spans(SMALL.data) if opcode == 0x0F)
+    yield SMALL, (end, SMALL.data[slice(*a)] + SMALL.data[start:end]), SMALL.laser, None  # not covered by a CRC
+
+
+@pytest.mark.parametrize(("shape", "change", "samples", "lost"), list(copies()))
+def test_a_chunk_copied_over_something_counts_once(path, shape, change, samples, lost):
+    """By the index, in a window, after a walk and in the recovered log."""
+    put(path, shape, change)
     with open_log(path) as log:
         for _ in range(2):
             found = log["laser/x"].code
-            assert len(np.unique(found)) == len(found) == samples
-            assert log.count("laser/x") == samples
-            window = campaign.T0 + 250_000 * 40, campaign.T0 + 250_000 * 120
-            part = log.between(*window)["laser/x"].code
+            assert len(np.unique(found)) == len(found) == log.count("laser/x") == samples
+            part = log.between(T0 + 250_000 * 40, T0 + 250_000 * 120)["laser/x"].code
             assert part.tolist() == [k for k in found.tolist() if 40 <= k < 120]
             assert lost is None or sum(place.messages for place in log.missing) == lost
             assert any("used once" in str(place) and place.messages != 0 for place in log.missing)
@@ -157,107 +157,73 @@ def check_every_way(path, samples, lost):
         assert log["laser/x"].code.tolist() == found.tolist()
 
 
-@pytest.mark.parametrize("finished", [True, False])
-def test_a_chunk_copied_over_one_that_is_alike_counts_once(path, finished):
-    """Times, size and counts match the index at both places; only the CRC shows that it is the same chunk."""
-    shape, (a, a_end), (b, b_end) = alike_chunks(finished)
-    data = bytearray(shape.data)
-    data[b:b_end] = data[a:a_end]
-    path.write_bytes(data)
-    check_every_way(path, 120, 50 if finished else None)
-
-
-def test_a_chunk_copied_behind_the_head_of_another_counts_once(path):
-    """The times in the head still match the index; those of the messages do not."""
-    data = bytearray(SMALL.data)
-    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
-    assert a_end - a == b_end - b
-    data[b + 33 : b_end] = data[a + 33 : a_end]
-    path.write_bytes(data)
+def test_a_window_of_a_chunk_that_was_copied_over_is_missing(path):
+    """The times in the head of the copy still match the index; those of the messages do not."""
+    a, b = places_of(SMALL)[2:4]
+    put(path, SMALL, copied(SMALL, (a[0] + 33, a[1]), b[0] + 33))
     with open_log(path) as log:
-        part = log.between(campaign.T0 + 75 * 250_000, campaign.T0 + 100 * 250_000)  # its contents before the damage
+        part = log.between(T0 + 75 * 250_000, T0 + 100 * 250_000)  # its contents before the damage
         assert part.count("laser/x") == 0
         assert any(place.messages == 27 for place in part.missing)
-    check_every_way(path, SMALL.laser - 25, 27)
-
-
-def test_a_chunk_copied_over_the_summary_counts_once(path):
-    """The CRC of the data is right, but it does not cover the bytes after the data, including the CRC itself."""
-    data = bytearray(SMALL.data)
-    a, a_end = chunk_places(data)[2]
-    start, end = next((start, end) for opcode, start, end in campaign.record_spans(SMALL.data) if opcode == 0x0F)
-    copied = data[a:a_end] + data[start:end]
-    data[end : end + len(copied)] = copied
-    path.write_bytes(data)
-    check_every_way(path, SMALL.laser, None)
 
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_lost_chunk_is_not_taken_for_one_that_is_alike(path, finished):
-    shape, _, (b, _) = alike_chunks(finished)
-    data = bytearray(shape.data)
-    data[b + 100] ^= 1
-    path.write_bytes(data)
+    shape, _, (b, _) = alike(finished)
+    put(path, shape, flipped(shape, b + 100))
     with open_log(path) as log:
         log.verify()
-        assert log.missing[0].byte_start == b
-        assert log.missing[0].messages == (50 if finished else None)
+        assert (log.missing[0].byte_start, log.missing[0].messages) == (b, 50 if finished else None)
 
 
 def test_a_chunk_that_stands_at_the_place_of_another_is_not_lost_but_the_other_is(path):
-    data = bytearray(SMALL.data)
-    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
-    data[b:b_end] = data[a:a_end]
-    data[a + 100] ^= 1
-    path.write_bytes(data)
+    a, b = places_of(SMALL)[2:4]
+    put(path, SMALL, copied(SMALL, a, b[0]), flipped(SMALL, a[0] + 100))
     with open_log(path) as log:
         log.verify()
         assert len(log["laser/x"]) == SMALL.laser - 25
         (lost,) = [place for place in log.missing if place.messages]
-        assert (lost.messages, lost.start_ns) == (27, campaign.T0 + 4 * 10**7)
+        assert (lost.messages, lost.start_ns) == (27, T0 + 4 * STEP_NS)
 
 
-@pytest.mark.parametrize("writer", ["ours", "library", "library with a CRC of the data"])
-def test_the_same_chunk_written_twice_is_there_twice(path, writer):
+def again(writer):
+    """Four messages in a chunk each, of which two are the same."""
+    schema = writer.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
+    channel = writer.register_channel("raw/laser_x", "protobuf", schema)
+    ours, message = isinstance(writer, BlockWriter), ch.pack_raw(0, b"again")
+    for time_ns in (1, 5, 5, 6):
+        writer.add_message(channel, time_ns, *((time_ns, 0, message) if ours else (message, time_ns)))
+        if ours:
+            writer.flush()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: written(again, compression="none"),
+        lambda: foreign(again, chunk_size=1),
+        lambda: foreign(again, chunk_size=1, enable_data_crcs=True),
+    ],
+)
+def test_the_same_chunk_written_twice_is_there_twice(path, make):
     """Nothing is damaged: messages that are repeated with their times in another chunk are read twice."""
-    message, times = ch.pack_raw(0, b"again"), (5, 5, 6)
-    with path.open("wb") as stream:
-        if writer == "ours":
-            ours = BlockWriter(stream, "none")
-            ours.start("rig")
-            schema = ours.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
-            channel = ours.register_channel("raw/laser_x", "protobuf", schema)
-            for time_ns in (1, *times):
-                ours.add_message(channel, time_ns, time_ns, 0, message)
-                ours.flush()
-            ours.finish()
-        else:
-            other = library.Writer(stream, chunk_size=1, enable_data_crcs="CRC" in writer)
-            other.start()
-            schema = other.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
-            channel = other.register_channel("raw/laser_x", "protobuf", schema)
-            for time_ns in (1, *times):
-                other.add_message(channel, time_ns, message, time_ns)
-            other.finish()
+    path.write_bytes(make())
     with open_log(path) as log:
         for _ in range(2):
-            assert [(chunk.host_ns, chunk.data) for chunk in log.raw("laser_x")] == [(t, b"again") for t in (1, *times)]
+            assert [(chunk.host_ns, chunk.data) for chunk in log.raw("laser_x")] == [
+                (t, b"again") for t in (1, 5, 5, 6)
+            ]
             assert len(log.between(5, 6).raw("laser_x")) == 2
             assert log.complete
             log.verify()
     assert recover(path, path.with_name("out.mcap")).messages == 4
 
 
-def test_a_missing_crc_is_damage_in_our_own_files(path):
-    data = bytearray(SMALL.data)
-    start, _ = chunk_places(data)[3]
-    data[start + 33 : start + 37] = bytes(4)
-    path.write_bytes(data)
-    with open_log(path) as log:
-        assert len(log["laser/x"]) == SMALL.laser - 25
-    header = SMALL.data.index(LIBRARY.encode())
-    data[header : header + 2] = b"xx"  # a damaged header disables no check
-    path.write_bytes(data)
+@pytest.mark.parametrize("header", [b"", b"xx"])
+def test_a_missing_crc_is_damage_in_our_own_files(path, header):
+    """A damaged header disables no check."""
+    start, _ = places_of(SMALL)[3]
+    put(path, SMALL, (start + 33, bytes(4)), (SMALL.data.index(LIBRARY.encode()), header))
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser - 25
 
@@ -265,15 +231,13 @@ def test_a_missing_crc_is_damage_in_our_own_files(path):
 @pytest.mark.parametrize("finished", ["finished", "unfinished"])
 def test_a_whole_chunk_behind_a_wrong_length_is_found(path, finished):
     """A chunk's head copied over a shorter one covers the next chunk; the search continues inside."""
-    shape = next(shape for shape in SHAPES if shape.name == f"{finished} zstd, 1000 samples a chunk")
-    data = bytearray(shape.data)
-    spans = chunk_places(data)
+    shape = NAMED[f"{finished} zstd, 1000 samples a chunk"]
+    spans = places_of(shape)
     shorter = min(range(len(spans) - 1), key=lambda k: spans[k][1] - spans[k][0])
     start, _ = spans[shorter]
     long = spans[shorter + 1][1] - start + 50
-    head = struct.pack("<BQ", 6, long - 9) + data[start + 9 : start + 45] + struct.pack("<Q", long - 53)
-    data[start : start + 53] = head[:53]
-    path.write_bytes(data)
+    head = struct.pack("<BQ", 6, long - 9) + shape.data[start + 9 : start + 45] + struct.pack("<Q", long - 53)
+    put(path, shape, (start, head[:53]))
     with open_log(path) as log:
         log.verify()
         assert len(log["laser/x"]) == shape.laser - 1000
@@ -286,38 +250,20 @@ def test_nested_heads_are_no_reason_to_search_for_ever(path):
     for at in range(0, size - 100, 60):
         length = size - at
         struct.pack_into("<BQQQQIIQ", body, at, 6, length - 9, 0, 0, length - 49, 1, 0, length - 49)
-    path.write_bytes(SMALL.data[: chunk_places(SMALL.data)[2][0]] + body)
+    path.write_bytes(SMALL.data[: places_of(SMALL)[2][0]] + body)
     with open_log(path) as log:
         assert len(log["laser/x"]) == 50
         assert any("the rest was not searched" in str(place) for place in log.missing)
 
 
-def test_swapped_chunks_of_an_unfinished_log_are_not_reported_as_missing(path):
-    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
-    data = bytearray(shape.data)
-    (a, a_end), (b, b_end) = chunk_places(data)[2:4]
-    data[a:a_end], data[b:b_end] = data[b:b_end], data[a:a_end]
-    path.write_bytes(data)
-    with open_log(path) as log:
-        assert len(log["laser/x"]) == shape.laser
-        assert len(log.missing) > 1
-        assert not any(place.messages for place in log.missing)
-
-
 def test_an_index_of_a_swapped_chunk_claims_nothing(path):
     """A damaged chunk, followed by the message indexes of another chunk, which is present."""
-    shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
-    data = bytearray(shape.data)
-    spans = chunk_places(data)
+    spans = places_of(CUT)
     (a_start, a_end), (following, _), (_, b_end), (after, _) = spans[2], spans[3], spans[5], spans[6]
     assert after - b_end == following - a_end
-    data[a_start + 60] ^= 1
-    data[a_end:following] = data[b_end:after]
-    path.write_bytes(data)
+    put(path, CUT, flipped(CUT, a_start + 60), copied(CUT, (b_end, after), a_end))
     with open_log(path) as log:
-        place = log.missing[0]
-        assert place.byte_start == a_start
-        assert not place.messages
+        assert (log.missing[0].byte_start, log.missing[0].messages or 0) == (a_start, 0)
 
 
 def test_metadata_under_a_damaged_name_is_left_out(path):
@@ -330,29 +276,30 @@ def test_metadata_under_a_damaged_name_is_left_out(path):
             log.verify()
 
 
-def test_a_summary_without_its_channels_is_not_used(path):
-    """Its CRC is right, but the channel of the samples has another id in it."""
+def with_summary(path, opcode, new, which=0):
+    """Write another first field into a record of the summary, whose CRC is right."""
     data = bytearray(SMALL.data)
     footer = len(data) - len(MAGIC) - 29
     start = struct.unpack_from("<Q", data, footer + 9)[0]
-    channel = next(at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 4 and at > start)
-    data[channel + 9] = 99
+    found = [at for kind, at, _ in campaign.record_spans(SMALL.data) if kind == opcode and at > start]
+    data[found[which] + 9] = new
     data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
     path.write_bytes(data)
+
+
+@pytest.mark.parametrize(("opcode", "words"), [(0x04, "lacks channels"), (0x0B, "index everything")])
+def test_a_summary_with_a_right_crc_that_contradicts_itself_is_not_used(path, opcode, words):
+    """The channel of the samples has another number in it; its statistics count other messages than its index."""
+    with_summary(path, opcode, 99)
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser
-        assert "lacks channels" in str(log.missing[0])
+        assert words in str(log.missing[0])
+        assert not log.complete
 
 
 def test_a_summary_that_defines_no_schema_hinders_no_recovery(path):
-    """Id 0 means that a channel has no schema; the CRC of the definition is right."""
-    data = bytearray(SMALL.data)
-    footer = len(data) - len(MAGIC) - 29
-    start = struct.unpack_from("<Q", data, footer + 9)[0]
-    schemas = [at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 3 and at > start]
-    data[schemas[-1] + 9] = 0
-    data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
-    path.write_bytes(data)
+    """Id 0 means that a channel has no schema."""
+    with_summary(path, 0x03, 0, which=-1)
     recover(path, path.with_name("out.mcap"))
     with open_log(path.with_name("out.mcap")) as log:
         assert len(log["laser/x"]) == SMALL.laser
@@ -360,32 +307,15 @@ def test_a_summary_that_defines_no_schema_hinders_no_recovery(path):
 
 
 def test_messages_read_from_a_foreign_file_without_crcs_are_reported(path):
-    with path.open("wb") as stream:
-        writer = library.Writer(stream, enable_crcs=False)
-        writer.start()
-        channel = writer.register_channel("note", "json", 0)
-        writer.add_message(channel, 5, b"{}", 5)
-        writer.finish()
+    def fill(writer):
+        writer.add_message(writer.register_channel("note", "json", 0), 5, b"{}", 5)
+
+    path.write_bytes(foreign(fill, enable_crcs=False))
     with open_log(path) as log:
         assert log.complete
-        sentences = [str(place) for place in log.verify()]
+        assert any("1 chunk without a CRC" in str(place) for place in log.verify())
         assert log.complete
-        assert any("1 chunk without a CRC" in text for text in sentences)
         assert log.count("note") == 1
-
-
-def test_a_summary_crc_is_not_enough(path):
-    """Statistics that differ from the index are not used, even if their CRC is right."""
-    data = bytearray(SMALL.data)
-    footer = len(data) - len(MAGIC) - 29
-    start = struct.unpack_from("<Q", data, footer + 9)[0]
-    statistics = next(at for opcode, at, _ in campaign.record_spans(bytes(data)) if opcode == 0x0B)
-    data[statistics + 9] ^= 1
-    data[footer + 25 : footer + 29] = zlib.crc32(data[start : footer + 25]).to_bytes(4, "little")
-    path.write_bytes(data)
-    with open_log(path) as log:
-        assert len(log["laser/x"]) == SMALL.laser
-        assert not log.complete
 
 
 @pytest.mark.parametrize("has_data_end", [True, False])

@@ -9,16 +9,16 @@ from mcap.writer import CompressionType, Writer
 
 from daq.log import open_log
 from rig_cli import main
+from tests.daq.mcap.written import foreign
 
 
 def write(path: Path, log_times_ns: list[int], **options: bool) -> Path:
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.NONE, **options)
-        writer.start()
-        channel = writer.register_channel("t", "json", writer.register_schema("s", "jsonschema", b"{}"))
+    def fill(writer: Writer) -> None:
+        channel = writer.register_channel("t", "json", 0)
         for number, time_ns in enumerate(log_times_ns):
             writer.add_message(channel, time_ns, b'{"a": 1}', 1, number)
-        writer.finish()
+
+    path.write_bytes(foreign(fill, compression=CompressionType.NONE, **options))
     return path
 
 

@@ -78,7 +78,6 @@ def test_a_channel_is_known_by_its_ends(log: Log) -> None:
 
 def test_the_last_health_report(log: Log, tmp_path: Path) -> None:
     report = last_health(log)
-    assert report is not None
     assert (report["number"], report["time_ns"]) == (39, T0 + 39 * S)
     with LogFile(tmp_path / "run.mcap", {}, {}, (), T0) as file:
         assert last_health(open_log(file.finish({}))) is None

@@ -1,6 +1,5 @@
 """Parts of a log by time, the reads they need, and files that change or fail while they are open."""
 
-import io
 import os
 
 import numpy as np
@@ -11,24 +10,20 @@ from daq import channels as ch
 from daq.errors import ChannelMissing, LogError
 from daq.log import open_log
 from daq.mcap.file_bytes import FileBytes
-from daq.mcap.writer import LIBRARY, BlockWriter
+from daq.mcap.writer import LIBRARY
+from tests.daq.mcap.written import T0, add_channel, marks, written
 from tests.effort import cases
 
-T0 = 1_700_000_000_000_000_000
 MS = 10**6
-
-
-def marks(numbers):
-    return ch.TACHO.pack({"revolutions": numbers, "node_time_us": np.asarray(numbers) * 1000})
 
 
 def record(blocks, finish=True, compression="zstd"):
     """A log of (log time, sample times) blocks in ms, a chunk each; raw bytes and an event with each block."""
-    stream = io.BytesIO()
-    writer = BlockWriter(stream, compression)
-    writer.start()
-    schema = writer.register_schema(ch.TACHO.schema_name, "protobuf", ch.TACHO.file_descriptor_set())
-    tacho = writer.register_channel("tacho", "protobuf", schema)
+    return written(lambda writer: add_blocks(writer, blocks), finish=finish, compression=compression)
+
+
+def add_blocks(writer, blocks):
+    tacho = add_channel(writer)
     raw = writer.register_channel(
         "raw/encoder", "protobuf", writer.register_schema(ch.RAW_SCHEMA_NAME, "protobuf", ch.raw_descriptor_set())
     )
@@ -40,9 +35,6 @@ def record(blocks, finish=True, compression="zstd"):
         if sample_ms:
             writer.add_message(events, now, int(times[0]), 0, ch.pack_note({"kind": "beat", "number": number}))
         writer.flush()
-    if finish:
-        writer.finish()
-    return stream.getvalue()
 
 
 @pytest.fixture
@@ -128,15 +120,12 @@ def test_an_empty_log(path):
 
 def big(n=60_000):
     """A log of several MB, so that several threads read it, with samples that identify themselves."""
-    stream = io.BytesIO()
-    writer = BlockWriter(stream, "none", chunk_bytes=50_000)
-    writer.start()
-    schema = writer.register_schema(ch.TACHO.schema_name, "protobuf", ch.TACHO.file_descriptor_set())
-    tacho = writer.register_channel("tacho", "protobuf", schema)
-    times = T0 + np.arange(n) * MS
-    writer.add_block(tacho, times, times, np.arange(n), marks(np.arange(n)))
-    writer.finish()
-    return stream.getvalue()
+    times, numbers = T0 + np.arange(n) * MS, np.arange(n)
+    return written(
+        lambda writer: writer.add_block(add_channel(writer), times, times, numbers, marks(numbers)),
+        compression="none",
+        chunk_bytes=50_000,
+    )
 
 
 def test_a_long_log_is_read_by_several_threads(path):
@@ -202,14 +191,10 @@ def test_a_file_that_is_written_over_while_it_is_open(path):
 
 
 def test_a_topic_with_two_schemas_is_refused(path):
-    stream = io.BytesIO()
-    writer = BlockWriter(stream)
-    writer.start()
-    for layout in (ch.TACHO, ch.MOTOR):
-        schema = writer.register_schema(layout.schema_name, "protobuf", layout.file_descriptor_set())
-        channel = writer.register_channel("tacho", "protobuf", schema)
-        writer.add_block(channel, T0, T0, 0, marks([1]))
-    writer.finish()
-    path.write_bytes(stream.getvalue())
+    def fill(writer):
+        for layout in (ch.TACHO, ch.MOTOR):
+            writer.add_block(add_channel(writer, layout, "tacho"), T0, T0, 0, marks(1))
+
+    path.write_bytes(written(fill))
     with open_log(path) as log, pytest.raises(LogError, match="one schema for the whole file"):
         log["tacho"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import mcap.writer as library
+import mcap.writer
 import pytest
 from cyclopts import App
 
@@ -24,6 +24,7 @@ from daq.signals.run import load_run
 from rig_cli.logs import log as log_command
 from rig_configs import load_rig
 from tests.daq.catalogue.test_catalogue import make_log
+from tests.daq.mcap.written import foreign
 from tests.daq.small_log import device_bytes
 
 START = 1_700_000_000_000_000_000
@@ -204,14 +205,13 @@ def test_too_many_places_become_one(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_recovered_file_of_another_program_counts_no_losses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "foreign.mcap"
-    with path.open("wb") as stream:
-        writer = library.Writer(stream, chunk_size=200)
-        writer.start(library="another program")
+    def fill(writer: mcap.writer.Writer) -> None:
         channel = writer.register_channel("note", "json", 0)
         for number in range(40):
             writer.add_message(channel, number, b'{"number": %d}' % number, number)
-        writer.finish()
+
+    path = tmp_path / "foreign.mcap"
+    path.write_bytes(foreign(fill, chunk_size=200))
     made = recover.recover(path).path
     for name in (path.name, made.name):
         (entry,) = (entry for entry in Catalogue(tmp_path).search() if entry.path == name)

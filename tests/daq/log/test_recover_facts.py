@@ -15,14 +15,13 @@ from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
 from daq.mcap.records import AttachmentPlace, DamageError
 from daq.mcap.writer import LIBRARY, MAGIC
-from tests.daq.mcap.test_scan import attachment
-from tests.daq.mcap.test_walk import (
+from tests.daq.mcap.made_bytes import (
     FRONT,
     INNER,
     LOOSE,
+    attachment,
     chunk,
-    data_end,
-    ending,
+    finished,
     header,
     indexes,
     message,
@@ -37,8 +36,7 @@ GOOD = chunk(message(2, 2_000_000_000) + message(3, 4_500_000_000), 2_000_000_00
 
 def made(folder: Path, *parts: bytes) -> Path:
     path = folder / "old.mcap"
-    data = FRONT + b"".join(parts) + data_end()
-    path.write_bytes(data + ending(data, b""))
+    path.write_bytes(finished(*parts))
     return path
 
 
@@ -161,23 +159,6 @@ def test_a_file_with_facts_alone_is_recovered_and_one_without_anything_is_not(tm
     found.path.unlink()
     with pytest.raises(LogError, match="expected a message, a fact or an attachment, found none"):
         recover(made(tmp_path))
-
-
-@pytest.mark.parametrize("name", ["a.mcap", "b.mcap", "c.mcap"])
-def test_a_growing_file_is_recovered_to_any_name_but_its_own(tmp_path: Path, name: str) -> None:
-    part = tmp_path / "b.mcap.part"
-    part.write_bytes(FRONT + GOOD)
-
-    def grow(share: float) -> None:
-        with part.open("ab") as file:
-            file.write(GOOD)
-
-    if name == "b.mcap":
-        with pytest.raises(LogError, match=r"is still being written, and its recorder will name it b\.mcap"):
-            recover(part, tmp_path / name, grow)
-        assert not (tmp_path / name).exists()
-    else:
-        assert recover(part, tmp_path / name, grow).path == tmp_path / name
 
 
 def test_the_names_of_new_files(tmp_path: Path) -> None:

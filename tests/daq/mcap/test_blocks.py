@@ -11,31 +11,20 @@ from hypothesis import given, settings, strategies as st
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, Message, MessageIndex, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
-from daq import channels as ch
 from daq.log import open_log
 from daq.mcap.writer import BlockWriter, CopiedChunk, metadata_crc
+from tests.daq.mcap.written import T0, add_channel, foreign, fresh, marks, written
 from tests.daq.small_log import write_small_log
 from tests.effort import cases
-
-T0 = 1_700_000_000_000_000_000
 
 
 def finished(fill, **options):
     """Bytes of a file with two channels, filled by `fill(writer, tacho, plain)`."""
-    stream = io.BytesIO()
-    writer = BlockWriter(stream, **options)
-    writer.start()
-    schema = writer.register_schema(ch.TACHO.schema_name, "protobuf", ch.TACHO.file_descriptor_set())
-    tacho = writer.register_channel(ch.TACHO.topic, "protobuf", schema)
-    fill(writer, tacho, writer.register_channel("plain", "json", 0))
-    writer.finish()
-    return stream.getvalue()
-
-
-def tacho_messages(n):
-    return ch.TACHO.pack({"revolutions": np.arange(n), "node_time_us": np.arange(n) * 1000})
+    return written(
+        lambda writer: fill(writer, add_channel(writer), writer.register_channel("plain", "json", 0)), **options
+    )
 
 
 def records_of(data):
@@ -94,7 +83,7 @@ def test_any_times_in_any_order(blocks, compression, chunk_bytes):
     def fill(writer, tacho, plain):
         for is_block, rows in blocks:
             log, publish, sequence = (np.array([row[k] for row in rows], np.int64) for k in range(3))
-            messages = tacho_messages(len(rows))
+            messages = marks(len(rows))
             if is_block:
                 writer.add_block(tacho, log, publish, sequence, messages)
             for row, message in zip(rows, messages, strict=True):
@@ -119,7 +108,6 @@ def copy_of(data, **options):
     writer = BlockWriter(stream, **options)
     writer.start()
     summary = make_reader(io.BytesIO(data)).get_summary()
-    assert summary is not None
     writer.adopt(summary.schemas.values(), summary.channels.values())
     for chunk in (record for record in records_of(data) if isinstance(record, Chunk)):
         places = message_places(chunk)
@@ -149,7 +137,7 @@ def lz4_content(chunk):
 def two_channels(writer, tacho, plain):
     for k in range(6):
         times = T0 + 1000 * k + np.array([5, 3, 9])
-        writer.add_block(tacho, times, times - 100 + 40 * k, 3 * k, tacho_messages(3))
+        writer.add_block(tacho, times, times - 100 + 40 * k, 3 * k, marks(3))
         writer.add_message(plain, T0 + 1000 * k, T0, k, b"{}" * k)
 
 
@@ -174,24 +162,17 @@ def test_chunks_are_copied_byte_for_byte(compression):
 
 
 def test_a_foreign_chunk_keeps_its_compression():
-    stream = io.BytesIO()
-    library = Writer(stream, chunk_size=300, compression=CompressionType.LZ4)
-    library.start()
-    topics = [library.register_channel(name, "json", 0) for name in ("a", "b")]
-    for k in range(40):
-        library.add_message(topics[k % 2], T0 - 7 * k, b"{}", T0 + 10**9 + k, k)
-    library.finish()
-    copy, writer = copy_of(stream.getvalue())
+    def fill(library):
+        topics = [library.register_channel(name, "json", 0) for name in ("a", "b")]
+        for k in range(40):
+            library.add_message(topics[k % 2], T0 - 7 * k, b"{}", T0 + 10**9 + k, k)
+
+    source = foreign(fill, chunk_size=300, compression=CompressionType.LZ4)
+    copy, writer = copy_of(source)
     writer.finish()
-    assert messages_of(copy.getvalue()) == messages_of(stream.getvalue())
+    assert messages_of(copy.getvalue()) == messages_of(source)
     assert {r.compression for r in records_of(copy.getvalue()) if isinstance(r, Chunk)} == {"zstd", "lz4"}
     assert metadata_of(copy.getvalue(), "times")[0]["most_early_ns"] == str(10**9 + 39 + 7 * 39)
-
-
-def fresh():
-    writer = BlockWriter(io.BytesIO())
-    writer.start()
-    return writer
 
 
 def test_adopted_ids_stay_and_new_ones_are_free():
@@ -221,13 +202,6 @@ def test_definitions_that_contradict_are_refused(schemas, channels):
         fresh().adopt(schemas, channels)
 
 
-def test_adopting_late_is_refused():
-    writer = fresh()
-    writer.register_schema("s", "jsonschema", b"")
-    with pytest.raises(ValueError, match="right after start"):
-        writer.adopt([], [])
-
-
 @pytest.mark.parametrize(
     ("ids", "log", "offsets", "match"),
     [
@@ -253,14 +227,9 @@ def test_metadata_carries_its_checksum(table):
     assert metadata_crc("run", found) == metadata_crc("run", table) == found["crc32"]
 
 
-def test_a_checksum_of_ones_own_is_refused():
-    with pytest.raises(ValueError, match="own checksum"):
-        fresh().add_metadata("run", {"crc32": "0"})
-
-
 def test_what_is_written_does_not_depend_on_how_arrays_lie_in_memory():
     base = np.arange(20, dtype=np.int64) + T0
-    messages = tacho_messages(20)
+    messages = marks(20)
     frozen = np.frombuffer(messages.tobytes(), messages.dtype)
     unaligned = np.frombuffer(b"x" + base.tobytes(), np.int64, offset=1)
     strided = np.repeat(base, 2)[::2]
@@ -275,17 +244,10 @@ def test_what_is_written_does_not_depend_on_how_arrays_lie_in_memory():
 
 def test_one_time_or_sequence_stands_for_all():
     def fill(n, *columns):
-        return finished(lambda writer, tacho, plain: writer.add_block(tacho, *columns, tacho_messages(n)))
+        return finished(lambda writer, tacho, plain: writer.add_block(tacho, *columns, marks(n)))
 
     whole = fill(50, np.full(50, T0 + 1), np.full(50, T0), np.full(50, 2**32 + 3))
     assert fill(50, T0 + 1, T0, 2**32 + 3) == fill(50, [T0 + 1], [T0], [3]) == whole
-
-
-def test_times_that_are_no_integers_are_refused():
-    writer = fresh()
-    channel = writer.register_channel("a", "json", 0)
-    with pytest.raises(ValueError, match="log times as one integer or 2, got float64"):
-        writer.add_block(channel, np.array([1.0, 2.0]), 1, 0, np.zeros(2, "V3"))
 
 
 @pytest.mark.parametrize("size", [0, 1, 3_000_000])
@@ -371,24 +333,22 @@ def test_a_finished_file_takes_no_more():
 def re_encoded(data):
     """A file made by the library's own writer from the contents that its reader finds in ours."""
     reader = make_reader(io.BytesIO(data), validate_crcs=True)
-    stream = io.BytesIO()
-    writer = Writer(stream, chunk_size=5000)
-    writer.start(library="another")
-    summary = reader.get_summary()
-    assert summary is not None
-    schemas = {s.id: writer.register_schema(s.name, s.encoding, s.data) for s in summary.schemas.values()}
-    ids = {
-        c.id: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
-        for c in summary.channels.values()
-    }
-    for _, channel, message in reader.iter_messages(log_time_order=False):
-        writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
-    for attachment in reader.iter_attachments():
-        writer.add_attachment(0, attachment.log_time, attachment.name, attachment.media_type, attachment.data)
-    for metadata in (record for record in records_of(data) if isinstance(record, Metadata)):
-        writer.add_metadata(metadata.name, metadata.metadata)
-    writer.finish()
-    return stream.getvalue()
+
+    def fill(writer):
+        summary = reader.get_summary()
+        schemas = {s.id: writer.register_schema(s.name, s.encoding, s.data) for s in summary.schemas.values()}
+        ids = {
+            c.id: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
+            for c in summary.channels.values()
+        }
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, attachment.log_time, attachment.name, attachment.media_type, attachment.data)
+        for metadata in (record for record in records_of(data) if isinstance(record, Metadata)):
+            writer.add_metadata(metadata.name, metadata.metadata)
+
+    return foreign(fill, chunk_size=5000)
 
 
 def test_a_log_encoded_again_by_the_library_reads_the_same(tmp_path):

@@ -134,7 +134,6 @@ def test_recovery_keeps_facts_under_the_name_of_a_checksum_and_facts_of_one_name
     assert [record for record in found if isinstance(record, records.Metadata)][:3] == facts
     assert [record for record in found if isinstance(record, records.Attachment)] == attachments
     indexes = make_reader(io.BytesIO(new)).get_summary()
-    assert indexes is not None
     assert [index.create_time for index in indexes.attachment_indexes] == [1, 3]
 
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from daq.errors import LogError
-from daq.mcap.checksum import crc32
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import (
     AttachmentPlace,
@@ -27,23 +26,16 @@ from daq.mcap.records import (
 )
 from daq.mcap.scan import record_places, split_chunk
 from daq.mcap.writer import LIBRARY, MAGIC, metadata_crc
+from tests.daq.mcap.made_bytes import attachment, message, record, table, text
 from tests.effort import cases
 
 BIG = 0x8877665544332211
 
 
-def record(kind: int, body: bytes) -> bytes:
-    return struct.pack("<BQ", kind, len(body)) + body
-
-
-def message(channel: int, log: int = 0, publish: int = 0, data: bytes = b"", sequence: int = 0) -> bytes:
-    return record(5, struct.pack("<HIQQ", channel, sequence, log, publish) + data)
-
-
 RECORDS = st.one_of(
     st.tuples(st.integers(1, 255), st.binary(max_size=40)).map(lambda pair: record(*pair)),
     st.tuples(st.integers(0, 3), st.integers(0, 2**64 - 1), st.binary(max_size=3)).map(
-        lambda row: message(row[0], row[1], row[1], row[2])
+        lambda row: message(row[0], row[1], row[2])
     ),
 )
 
@@ -65,10 +57,10 @@ def test_records_are_found_one_after_the_other(runs: list[tuple[bytes, int]], cu
 def test_messages_of_a_chunk_have_their_fields() -> None:
     data = (
         record(3, b"schema")
-        + message(0x1234, 50, 61, b"ab", 2**32 - 1)
+        + message(0x1234, 50, b"ab", 61, 2**32 - 1)
         + record(4, b"channel")
-        + message(7, 40, 90)
-        + message(0x1234, BIG, 60, b"c")
+        + message(7, 40, b"", 90)
+        + message(0x1234, BIG, b"c", 60)
         + record(0x80, b"unknown")
     )
     found, definitions = split_chunk(data)
@@ -87,12 +79,12 @@ def test_messages_of_a_chunk_have_their_fields() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        message(1)[:-1],
-        message(1) + b"\x05",
-        message(1) + record(0, b"x"),
+        message(1, 0)[:-1],
+        message(1, 0) + b"\x05",
+        message(1, 0) + record(0, b"x"),
         record(5, bytes(21)),
-        message(1)[:1] + b"\xff" * 8 + message(1)[9:],
-        message(1) + message(1)[:1] + struct.pack("<Q", 2**63) + message(1)[9:],
+        message(1, 0)[:1] + b"\xff" * 8 + message(1, 0)[9:],
+        message(1, 0) + message(1, 0)[:1] + struct.pack("<Q", 2**63) + message(1, 0)[9:],
     ],
 )
 def test_records_that_are_not_whole_are_damage(data: bytes) -> None:
@@ -101,9 +93,9 @@ def test_records_that_are_not_whole_are_damage(data: bytes) -> None:
 
 
 def test_a_difference_in_a_long_run_of_equal_heads_ends_it() -> None:
-    rows = [message(1, k, k, b"1234") for k in range(3000)]
+    rows = [message(1, k) for k in range(3000)]
     for place in (1, 64, 65, 1000, 2999):
-        for changed in (message(2, 5, 5, b"1234"), message(1, 5, 5, b"123"), record(4, rows[0][9:])):
+        for changed in (message(2, 5), message(1, 5, b"123"), record(4, rows[0][9:])):
             data = b"".join([*rows[:place], changed, *rows[place + 1 :]])
             offsets, sizes, end = record_places(data)
             assert (len(offsets), int(sizes.sum()), end) == (3000, len(data), len(data))
@@ -143,24 +135,19 @@ def test_a_record_has_a_largest_length(tmp_path: Path) -> None:
             read_record(file, position, limit)
 
 
-def text(data: str) -> bytes:
-    return struct.pack("<I", len(data)) + data.encode()
-
-
-def metadata(**texts: str) -> bytes:
-    table = b"".join(text(key) + text(value) for key, value in texts.items())
-    return text("facts") + struct.pack("<I", len(table)) + table
+def facts(**texts: str) -> bytes:
+    return text("facts") + table(texts)
 
 
 def test_metadata_of_other_writers_may_use_the_key_of_our_checksum() -> None:
     crc = metadata_crc("facts", {"a": "b"})
     for ours in (True, False):
-        assert check_metadata(metadata(a="b", crc32=crc), ours) == ("facts", {"a": "b"}, True)
+        assert check_metadata(facts(a="b", crc32=crc), ours) == ("facts", {"a": "b"}, True)
     for other in (
-        metadata(a="b"),
-        metadata(a="b", crc32="1234"),
-        metadata(a="c", crc32=crc),
-        metadata(crc32="ABCDEF01"),
+        facts(a="b"),
+        facts(a="b", crc32="1234"),
+        facts(a="c", crc32=crc),
+        facts(crc32="ABCDEF01"),
     ):
         name, texts, has_crc = check_metadata(other, False)
         assert (name, has_crc) == ("facts", False)
@@ -171,22 +158,14 @@ def test_metadata_of_other_writers_may_use_the_key_of_our_checksum() -> None:
 
 def test_a_record_of_facts_may_have_64_MiB(tmp_path: Path) -> None:
     limit = 64 * 2**20
-    frame = len(metadata(a=""))
+    frame = len(facts(a=""))
     for size, accepted in ((limit - 1024, True), (limit + 1024, False)):
-        file = on_disk(tmp_path, MAGIC + record(12, metadata(a="b" * (size - frame))))
+        file = on_disk(tmp_path, MAGIC + record(12, facts(a="b" * (size - frame))))
         if accepted:
             assert len(read_metadata(file, len(MAGIC), ours=False)[1]["a"]) == size - frame
         else:
             with pytest.raises(DamageError):
                 read_metadata(file, len(MAGIC), ours=False)
-
-
-def attachment(data: bytes = b"12345", crc: int | None = None, name: bytes = b"a.json", **wrong: int) -> bytes:
-    body = struct.pack("<QQ", 3, 4)
-    for key, value in (("label", name), ("media", b"text/x")):
-        body += struct.pack("<I", len(value) + wrong.get(key, 0)) + value
-    body += struct.pack("<Q", len(data) + wrong.get("content", 0)) + data
-    return record(9, body + struct.pack("<I", crc32(body) if crc is None else crc))
 
 
 def test_an_attachment_is_checked_and_read(tmp_path: Path) -> None:

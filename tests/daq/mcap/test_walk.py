@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,66 +15,24 @@ from daq.mcap.file_bytes import FileBytes
 from daq.mcap.reader import walk
 from daq.mcap.records import DamageError
 from daq.mcap.summary_reader import FileSummary, read_summary
-from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
-
-
-def record(kind: int, body: bytes) -> bytes:
-    return struct.pack("<BQ", kind, len(body)) + body
-
-
-def text(data: str) -> bytes:
-    return struct.pack("<I", len(data)) + data.encode()
-
-
-def table(texts: dict[str, str]) -> bytes:
-    pairs = b"".join(text(key) + text(value) for key, value in texts.items())
-    return struct.pack("<I", len(pairs)) + pairs
-
-
-def header(library: str = "another program") -> bytes:
-    return record(1, text("") + text(library))
-
-
-def channel(number: int, topic: str) -> bytes:
-    return record(4, struct.pack("<HH", number, 0) + text(topic) + text("") + struct.pack("<I", 0))
-
-
-def message(number: int, time_ns: int, data: bytes = b"1234") -> bytes:
-    return record(5, struct.pack("<HIQQ", number, 0, time_ns, time_ns) + data)
-
-
-def chunk(records: bytes, first: int, last: int, crc: int | None = None) -> bytes:
-    body = struct.pack("<QQQI", first, last, len(records), crc32(records) if crc is None else crc)
-    return record(6, body + text("") + struct.pack("<Q", len(records)) + records)
-
-
-def indexes(**listed: list[tuple[int, int]]) -> bytes:
-    out = b""
-    for name, entries in listed.items():
-        pairs = b"".join(struct.pack("<QQ", *entry) for entry in entries)
-        out += record(7, struct.pack("<HI", int(name[1:]), len(pairs)) + pairs)
-    return out
-
-
-def metadata(name: str, texts: dict[str, str], ours: bool = False) -> bytes:
-    return record(12, text(name) + table(texts | ({METADATA_CRC: metadata_crc(name, texts)} if ours else {})))
-
-
-def data_end(crc: int = 0) -> bytes:
-    return record(15, struct.pack("<I", crc))
-
-
-def statistics(messages: int, channels: dict[int, int], chunks: int = 0, facts: int = 0, attachments: int = 0) -> bytes:
-    counts = b"".join(struct.pack("<HQ", *pair) for pair in channels.items())
-    numbers = struct.pack("<QHIIIIQQ", messages, 0, len(channels), attachments, facts, chunks, 0, 0)
-    return record(11, numbers + struct.pack("<I", len(counts)) + counts)
-
-
-def ending(before: bytes, summary: bytes, crc: int | None = 0) -> bytes:
-    """Footer and end of a file; `crc` None for the right one."""
-    start = len(before) if summary else 0
-    head = struct.pack("<BQQQ", 2, 20, start, 0)
-    return summary + head + struct.pack("<I", crc32(summary + head) if crc is None else crc) + MAGIC
+from daq.mcap.writer import LIBRARY, MAGIC
+from tests.daq.mcap.made_bytes import (
+    FRONT,
+    INNER,
+    LOOSE,
+    channel,
+    chunk,
+    data_end,
+    ending,
+    finished,
+    header,
+    indexes,
+    message,
+    metadata,
+    record,
+    statistics,
+    text,
+)
 
 
 def walked(folder: Path, data: bytes) -> Contents:
@@ -83,119 +41,109 @@ def walked(folder: Path, data: bytes) -> Contents:
     return walk(FileBytes(path))
 
 
-def faults(contents: Contents) -> list[tuple[str, int | None, int | None, int | None]]:
-    return [(place.text, place.byte_start, place.byte_end, place.messages) for place in contents.missing]
-
-
-FRONT = MAGIC + header() + channel(1, "a") + channel(2, "b")
-LOOSE = message(1, 10) + message(2, 20) + message(1, 30)
-INNER = message(1, 10) + message(2, 20) + message(1, 30)
+AT = len(FRONT)
+CHUNK_OF_ALL = chunk(INNER, 10, 30)
+FACTS = metadata("facts", {"a": "b"})
+SHORT = record(5, bytes(21))
+EARLY = statistics(0, {})
+SUMMARY = channel(1, "a") + statistics(3, {1: 2, 2: 1})
 
 
 @pytest.mark.parametrize("begin", [b"", record(1, b"\xff" * 9), record(1, text("")[:3])])
 def test_a_damaged_header_costs_the_header_alone(tmp_path: Path, begin: bytes) -> None:
-    data = MAGIC + begin + metadata("one", {"a": "b"}) + chunk(INNER, 10, 30)
-    found = walked(tmp_path, data)
+    found = walked(tmp_path, MAGIC + begin + metadata("one", {"a": "b"}) + CHUNK_OF_ALL)
     assert found.counts == {1: 2, 2: 1}
     assert found.missing[0].text.startswith("the header is damaged: ")
     assert found.missing[0].byte_start == len(MAGIC)
     assert found.missing[0].byte_end == len(MAGIC) + max(1, len(begin))  # also without a header the place is not empty
 
 
-def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: Path) -> None:
-    data = FRONT + LOOSE + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
+@pytest.mark.parametrize(
+    "whole",
+    [
+        finished(LOOSE),
+        finished(LOOSE, end=data_end(crc32(FRONT + LOOSE))),
+        finished(LOOSE, summary=SUMMARY),
+        finished(LOOSE, summary=SUMMARY, crc=None),
+        *(finished(record(kind, b"abc"), CHUNK_OF_ALL) for kind in (0x10, 0x80, 0xFF)),  # of other writers
+    ],
+)
+def test_a_sound_file_has_all_its_messages_and_no_fault(tmp_path: Path, whole: bytes) -> None:
+    found = walked(tmp_path, whole)
     assert (found.counts, found.missing) == ({1: 2, 2: 1}, [])
     assert found.table.span() == (10, 30)
-    assert (found.table.start.tolist(), found.table.length.tolist()) == ([len(FRONT)], [len(LOOSE)])
+
+
+@pytest.mark.parametrize(
+    ("data", "words", "start", "length"),
+    [
+        (finished(LOOSE, CHUNK_OF_ALL), "messages outside of chunks, left out", AT, len(LOOSE)),
+        (finished(LOOSE, SHORT, FACTS), "a message shorter than its own head", AT + len(LOOSE), len(SHORT)),
+        (finished(EARLY, CHUNK_OF_ALL), "a record of kind 0x0b, which is not allowed here", AT, len(EARLY)),
+        (finished(record(0, b"abc"), CHUNK_OF_ALL), "kind 0", AT, 12),
+        (
+            finished(LOOSE, end=data_end(crc32(FRONT + LOOSE) ^ 1)),
+            "the CRC of the whole data section is wrong, though every chunk in it is right",
+            0,
+            AT + len(LOOSE),
+        ),
+        (finished(LOOSE, end=record(15, b"")), "an end of the data of the wrong length", AT + len(LOOSE), None),
+        (finished(LOOSE, end=record(15, bytes(3))), "an end of the data of the wrong length", AT + len(LOOSE), None),
+        (
+            finished(LOOSE, end=b""),
+            "a footer of another length than 20 bytes, or before the end of the data",
+            AT + len(LOOSE),
+            None,
+        ),
+        (FRONT + LOOSE + data_end() + record(2, bytes(21)) + MAGIC, "a footer of another length", None, None),
+        (finished(LOOSE)[:-1], "the file was not finished or is cut.*after the footer", None, None),
+        (
+            finished(LOOSE) + b"x",
+            "bytes after the end of the log, which do not belong to it",
+            len(finished(LOOSE)),
+            1,
+        ),
+        (
+            finished(LOOSE, summary=channel(1, "a") + statistics(4, {1: 2, 2: 2})),
+            "the statistics count 4 messages",
+            None,
+            None,
+        ),
+        (
+            finished(LOOSE, summary=SUMMARY, crc=1),
+            "the summary cannot be used: a summary whose CRC is wrong or missing",
+            None,
+            None,
+        ),
+    ],
+)
+def test_a_fault_is_found_where_it_stands_and_costs_no_message(
+    tmp_path: Path, data: bytes, words: str, start: int | None, length: int | None
+) -> None:
+    found = walked(tmp_path, data)
+    assert found.counts == {1: 2, 2: 1}
+    place = found.missing[0]
+    assert re.search(words, place.text)
+    assert start in (None, place.byte_start)
+    assert length is None or place.byte_end == place.byte_start + length
+
+
+def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: Path) -> None:
+    """Also two like series of them: without a CRC only chunks can show that the same bytes were copied over others."""
+    found = walked(tmp_path, finished(LOOSE, FACTS, metadata("two", {"c": "d"}, ours=True), LOOSE))
+    assert (found.counts, found.missing) == ({1: 4, 2: 2}, [])
+    assert found.metadata == {"facts": {"a": "b"}, "two": {"c": "d"}}
+    assert found.table.start.tolist()[0] == AT
+    assert found.table.length.tolist() == [len(LOOSE)] * 2
     unchecked = [place.text.partition(" without")[0] for place in found.unchecked]
-    assert sorted(unchecked) == ["1 data section", "1 series of messages", "1 summary"]
+    assert sorted(unchecked) == ["1 data section", "1 metadata record", "1 summary", "2 series of messages"]
 
 
 def test_many_messages_outside_of_chunks_are_kept_in_series_of_about_4_MiB(tmp_path: Path) -> None:
     each = message(1, 10, bytes(2**20))
-    data = FRONT + 6 * each + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
+    found = walked(tmp_path, finished(6 * each))
     assert (found.counts, found.missing) == ({1: 6}, [])
     assert found.table.length.tolist() == [4 * len(each), 2 * len(each)]
-
-
-def test_two_like_series_of_messages_outside_of_chunks_are_both_kept(tmp_path: Path) -> None:
-    """Without a CRC only chunks can show that the same bytes were copied over others."""
-    facts = metadata("facts", {"a": "b"})
-    data = FRONT + LOOSE + facts + LOOSE + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert (found.counts, found.missing) == ({1: 4, 2: 2}, [])
-    assert found.table.start.tolist() == [len(FRONT), len(FRONT + LOOSE + facts)]
-
-
-def test_messages_outside_of_chunks_are_left_out_where_there_are_chunks(tmp_path: Path) -> None:
-    inner = message(1, 40) + message(1, 50)
-    data = FRONT + LOOSE + chunk(inner, 40, 50) + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert found.counts == {1: 2}
-    (fault,) = faults(found)
-    assert fault[:3] == ("messages outside of chunks, left out", len(FRONT), len(FRONT) + len(LOOSE))
-
-
-def test_a_message_that_is_shorter_than_its_head_is_damage_up_to_the_next_record_with_a_crc(tmp_path: Path) -> None:
-    short = record(5, bytes(21))
-    facts = metadata("facts", {"a": "b"})
-    data = FRONT + LOOSE + short + facts + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert (found.counts, found.metadata) == ({1: 2, 2: 1}, {"facts": {"a": "b"}})
-    place = found.missing[0]
-    assert (place.byte_start, place.byte_end) == (len(FRONT) + len(LOOSE), len(FRONT) + len(LOOSE) + len(short))
-    assert place.text == "a message shorter than its own head"
-
-
-@pytest.mark.parametrize(
-    ("crc", "wrong"), [(lambda data: 0, False), (crc32, False), (lambda data: crc32(data) ^ 1, True)]
-)
-def test_the_crc_of_the_data_section(tmp_path: Path, crc: Callable[[bytes], int], wrong: bool) -> None:
-    front = FRONT + LOOSE
-    data = front + data_end(crc(front))
-    found = walked(tmp_path, data + ending(data, b""))
-    assert found.counts == {1: 2, 2: 1}
-    expected = ("the CRC of the whole data section is wrong, though every chunk in it is right", 0, len(front), 0)
-    assert faults(found) == ([expected] if wrong else [])
-
-
-@pytest.mark.parametrize("count", [0, 3])
-def test_an_end_of_the_data_has_at_least_four_bytes(tmp_path: Path, count: int) -> None:
-    data = FRONT + LOOSE + record(15, bytes(count))
-    found = walked(tmp_path, data + ending(data, b""))
-    assert "an end of the data of the wrong length" in found.missing[0].text
-    assert found.missing[0].byte_start == len(FRONT + LOOSE)
-
-
-def test_a_footer_without_an_end_of_the_data_or_without_magic_is_damage(tmp_path: Path) -> None:
-    data = FRONT + LOOSE
-    found = walked(tmp_path, data + ending(data, b""))
-    assert found.missing[0].text.endswith("a footer of another length than 20 bytes, or before the end of the data")
-    data += data_end()
-    cut = (data + ending(data, b""))[:-1]
-    found = walked(tmp_path, cut)
-    assert "after the footer" in found.missing[0].text
-    assert found.missing[0].text.startswith("the file was not finished or is cut")
-    assert found.counts == {1: 2, 2: 1}
-    long = data + record(2, bytes(21)) + MAGIC
-    assert "a footer of another length" in walked(tmp_path, long).missing[0].text
-
-
-def test_bytes_after_the_end_do_not_belong_to_the_log(tmp_path: Path) -> None:
-    data = FRONT + LOOSE + data_end()
-    whole = data + ending(data, b"")
-    found = walked(tmp_path, whole + b"x")
-    assert faults(found) == [
-        ("bytes after the end of the log, which do not belong to it", len(whole), len(whole) + 1, 0)
-    ]
-
-
-def test_the_statistics_of_other_writers_need_no_crc(tmp_path: Path) -> None:
-    data = FRONT + LOOSE + data_end()
-    found = walked(tmp_path, data + ending(data, channel(1, "a") + statistics(4, {1: 2, 2: 2})))
-    assert faults(found) == [("the statistics count 4 messages", None, None, 1)]
 
 
 def test_a_summary_that_the_disk_does_not_read_again_is_damaged(tmp_path: Path) -> None:
@@ -203,44 +151,9 @@ def test_a_summary_that_the_disk_does_not_read_again_is_damaged(tmp_path: Path) 
         def crc(self, start: int, end: int, crc: int = 0) -> int:
             raise LogError(f"expected {end - start} bytes at byte {start}, the disk cannot read them")
 
-    data = FRONT + LOOSE + data_end()
     path = tmp_path / "a.mcap"
-    path.write_bytes(data + ending(data, channel(1, "a") + statistics(3, {1: 2, 2: 1}), None))
+    path.write_bytes(finished(LOOSE, summary=SUMMARY, crc=None))
     assert [place.text.partition(":")[0] for place in walk(Failing(path)).missing] == ["the summary cannot be used"]
-
-
-@pytest.mark.parametrize(("crc", "usable"), [(0, True), (None, True), (1, False)])
-def test_a_summary_with_another_crc_cannot_be_used(tmp_path: Path, crc: int | None, usable: bool) -> None:
-    data = FRONT + LOOSE + data_end()
-    summary = channel(1, "a") + statistics(3, {1: 2, 2: 1})
-    found = walked(tmp_path, data + ending(data, summary, crc))
-    texts = [place.text for place in found.missing]
-    assert texts == ([] if usable else ["the summary cannot be used: a summary whose CRC is wrong or missing"])
-    assert not any(place.messages for place in found.missing)
-
-
-def test_records_of_a_summary_are_not_allowed_before_the_end_of_the_data(tmp_path: Path) -> None:
-    early = statistics(0, {})
-    data = FRONT + early + chunk(INNER, 10, 30) + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert found.missing[0].text == "a record of kind 0x0b, which is not allowed here"
-    assert (found.missing[0].byte_start, found.missing[0].byte_end) == (len(FRONT), len(FRONT + early))
-    assert found.counts == {1: 2, 2: 1}
-
-
-@pytest.mark.parametrize(("kind", "accepted"), [(0, False), (0x10, True), (0x80, True), (0xFF, True)])
-def test_unknown_records_of_other_writers_are_skipped(tmp_path: Path, kind: int, accepted: bool) -> None:
-    data = FRONT + record(kind, b"abc") + chunk(INNER, 10, 30) + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert bool(found.missing) is not accepted
-    assert found.counts == {1: 2, 2: 1}
-
-
-def test_metadata_are_kept_by_name(tmp_path: Path) -> None:
-    data = FRONT + metadata("one", {"a": "b"}) + LOOSE + metadata("two", {"c": "d"}, ours=True) + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
-    assert found.metadata == {"one": {"a": "b"}, "two": {"c": "d"}}
-    assert "1 metadata record" in [place.text.partition(" without")[0] for place in found.unchecked]
 
 
 @pytest.mark.parametrize(("size", "refused"), [(64 * 2**20, True), (64 * 2**20 - 9, False)])
@@ -282,11 +195,11 @@ def test_the_search_for_intact_records_never_returns_to_an_earlier_place(tmp_pat
     """An index of 8 bytes has the head of one, so that the search stops at it; the next search begins behind it."""
     first, last = chunk(INNER, 10, 30), chunk(message(2, 99), 99, 99)
     broken = bytes(2**22) + record(7, struct.pack("<HI", 1, 8) + bytes(8))
-    data = FRONT + first + broken + last + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
+    found = walked(tmp_path, finished(first, broken, last))
     assert found.counts == {1: 2, 2: 2}
     assert found.table.start.tolist() == [len(FRONT), len(FRONT + first + broken)]
-    assert [place[1:3] for place in faults(found)] == [(len(FRONT + first), len(FRONT + first + broken))]
+    (place,) = found.missing
+    assert (place.byte_start, place.byte_end) == (len(FRONT + first), len(FRONT + first + broken))
 
 
 @pytest.mark.parametrize(
@@ -307,9 +220,7 @@ def test_the_search_for_intact_records_never_returns_to_an_earlier_place(tmp_pat
 def test_message_indexes_list_the_messages_of_their_chunk(
     tmp_path: Path, listed: dict[str, list[tuple[int, int]]], fault: str | None, missing: int | None
 ) -> None:
-    whole = chunk(INNER, 10, 30)
-    data = FRONT + whole + indexes(**listed) + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
+    found = walked(tmp_path, finished(CHUNK_OF_ALL, indexes(**listed)))
     assert found.counts == {1: 2, 2: 1}
     first = [(place.text, place.messages) for place in found.missing][:1]
     assert first == ([] if fault is None else [(fault, missing)])
@@ -337,8 +248,7 @@ def test_a_chunk_with_a_wrong_crc_is_left_out_and_its_indexes_state_what_it_held
     bad = chunk(INNER, 10, 30, crc=5)
     good = chunk(message(2, 99), 99, 99)
     listed = indexes(c1=[(10, 0), (30, 70)], c2=[(20, 35)])
-    data = FRONT + bad + listed + good + data_end()
-    found = walked(tmp_path, data + ending(data, b""))
+    found = walked(tmp_path, finished(bad, listed, good))
     assert found.counts == {2: 1}
     (place,) = found.missing
     assert place.text == "a chunk whose CRC is wrong, left out"
@@ -347,9 +257,8 @@ def test_a_chunk_with_a_wrong_crc_is_left_out_and_its_indexes_state_what_it_held
 
 
 def test_the_walk_reports_its_share(tmp_path: Path) -> None:
-    data = FRONT + LOOSE + data_end()
     path = tmp_path / "a.mcap"
-    path.write_bytes(data + ending(data, b""))
+    path.write_bytes(finished(LOOSE))
     shares: list[float] = []
     walk(FileBytes(path), shares.append)
     assert shares == sorted(shares)
