@@ -1,8 +1,10 @@
-"""Texts from outside with bytes that are not UTF-8, counted nouns, and numbers that are compared in a sentence."""
+"""Texts from outside with bytes that are not UTF-8, counted nouns, hints, and numbers compared in a sentence."""
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable
 from typing import SupportsIndex
 
 _ALL_DIGITS = 17  # significant digits that distinguish any two doubles
@@ -30,6 +32,16 @@ def number_of(count: SupportsIndex | str, one: str, many: str = "", form: str = 
         form: format of the number, for example "12,d".
     """
     return f"{count:{form}} {one if str(count) == '1' else many or f'{one}s'}"
+
+
+def did_you_mean(wanted: str, known: Iterable[str], least: float = 0.4) -> str:
+    """Return the hint of a message at the most similar of the known names; empty if none is similar.
+
+    Args:
+        least: smallest similarity, 0 … 1.
+    """
+    near = difflib.get_close_matches(wanted, list(known), 1, least)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def distinct(value: float, limit: float, digits: int = 2) -> tuple[str, str]:

@@ -149,16 +149,17 @@ def _adapter_facts(adapter: Any) -> dict[str, Any]:
 
 
 def _result_facts(result: Result) -> dict[str, Any]:
+    evidence = result.evidence
     return {
         "port": result.port,
         "state": result.state,
         "note": result.note,
-        "driver": None if result.trial is None else result.trial.driver.name,
+        "driver": evidence and evidence.trial.driver.name,
         "how": result.how,
-        "settings": dict(result.settings),
-        "identity": dict(result.found.identity),
-        "samples": result.samples,
-        "losses": result.losses,
+        "settings": dict(evidence.settings) if evidence else {},
+        "identity": dict(evidence.found.identity) if evidence else {},
+        "samples": evidence.samples if evidence else 0,
+        "losses": evidence.losses if evidence else 0,
         "bytes_in": result.bytes_in,
         "other_drivers": list(result.others),
         "seconds": round(result.seconds, 2),
@@ -176,13 +177,13 @@ def _tables(results: Sequence[Result], announced: Sequence[Announced]) -> list[d
 
     found = [
         Table(
-            each.trial.driver,
+            evidence.trial.driver,
             each.port,
-            FoundDevice(each.settings, each.found.identity),
-            each.trial.settings.roles("device"),
+            FoundDevice(evidence.settings, evidence.found.identity),
+            evidence.trial.settings.roles("device"),
         )
         for each in results
-        if each.trial is not None
+        if (evidence := each.evidence) is not None
     ]
     found += [Table(each.driver, each.device.port, each.device.found) for each in announced]
     return [{"name": name, "text": text} for name, text in device_tables(found)]

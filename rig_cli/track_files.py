@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from analysis.figures.style import save
 from analysis.figures.tracked import TrackedDamping, TrackedPicture, TrackedState, draw_tracked
 from daq.exchange import ExchangeError
-from daq.exchange.csv_files import CsvFiles
-from daq.exchange.parquet_files import ParquetFiles
+from daq.exchange.arrow_files import ArrowFiles
 from daq.exchange.provenance import source_facts
 from daq.exchange.staging import Staging
 from daq.exchange.tables import Layout
@@ -106,8 +105,8 @@ def write_table(place: Path, staging: Staging, found: TrackedRun, facts: Mapping
             np.savez(file, allow_pickle=False, **table)
         return
     layout = Layout("track", {name: values.dtype for name, values in table.items()})
-    kind = ParquetFiles if place.suffix.lower() == ".parquet" else CsvFiles
-    with closing(kind([layout], {"track": part})) as writer:
+    format = "parquet" if place.suffix.lower() == ".parquet" else "csv"
+    with closing(ArrowFiles([layout], {"track": part}, format)) as writer:
         writer.append("track", table)
         writer.finish(facts)
 

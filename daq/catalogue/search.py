@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from pydantic import ValidationError
-
 from daq.catalogue import cache
 from daq.catalogue.cache import CachedFacts, Stamp
 from daq.catalogue.entry import Entry
@@ -44,7 +42,7 @@ class _File(NamedTuple):
 
     def is_all_as_in(self, row: CachedFacts | None) -> bool:
         """Return True if the row was made from this state of the log and of its verdict file."""
-        if row is None or not self.is_as_in(row) or row.verdict_stamp != str(self.verdict_stamp or ""):
+        if row is None or not self.is_as_in(row) or row.verdict_stamp != self.verdict_stamp:
             return False
         return self.verdict_stamp is None or self.verdict_stamp.settled_by(row.looked_ns)
 
@@ -99,11 +97,7 @@ class Catalogue:
         looked_ns = self._now_ns()
         files = dict(sorted(self._files()))
         rows = cache.load(self.folder) | self._unsaved
-        entries = {
-            path: entry
-            for path, file in files.items()
-            if file.is_all_as_in(rows.get(path)) and (entry := _entry_in(rows[path])) is not None
-        }
+        entries = {path: rows[path].entry for path, file in files.items() if file.is_all_as_in(rows.get(path))}
         new = [path for path in files if path not in entries]
         gone = rows.keys() - files.keys()
         saved_s = time.monotonic()
@@ -112,9 +106,12 @@ class Catalogue:
                 file, row = files[path], rows.get(path)
                 entries[path], digest = _read(path, file, row, _stretch(progress, number, len(new)))
                 if file.stamp is not None and not _is_gone(file.place):  # other processes may have cached a gone file
-                    facts = entries[path].model_dump_json()
                     self._unsaved[path] = CachedFacts(
-                        file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts
+                        stamp=file.stamp,
+                        verdict_stamp=file.verdict_stamp,
+                        looked_ns=looked_ns,
+                        digest=digest,
+                        entry=entries[path],
                     )
                 if time.monotonic() - saved_s > _SAVE_PERIOD_S:
                     self._save(gone)
@@ -173,13 +170,6 @@ def _is_gone(file: Path) -> bool:
     except OSError:  # usual: the file exists and must not be read
         return False
     return False
-
-
-def _entry_in(row: CachedFacts) -> Entry | None:
-    try:
-        return Entry.model_validate_json(row.entry)
-    except ValidationError:  # usual: a row of another version of this program
-        return None
 
 
 def _read(path: str, file: _File, row: CachedFacts | None, progress: Progress | None) -> tuple[Entry, str]:

@@ -11,12 +11,12 @@ which a candidate was found gets the request of this driver only.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from daq.discovery.opening import PortNotOpened, State, has_line_rate, open_port
-from daq.discovery.trials import Evidence, Reads, Trial, evidence_of, plain_number, trials_of, usual_rate
+from daq.discovery.trials import Evidence, Reads, Trial, evidence_of, trials_of
 from daq.drivers.contract import DeviceLine
 from daq.drivers.driver import Driver
 from daq.drivers.identification import FoundDevice, IdentityTurns
@@ -43,11 +43,8 @@ class Result:
         port: the port, as it was opened.
         state: "device", "unknown device" (bytes that no driver decodes), "silent", or why it was not opened.
         note: text for the operator: why, and what to do.
-        trial: driver and settings of the device; None without a device.
-        found: settings and identity that the device reported.
+        evidence: what shows the device: driver, settings, identity, samples; None without a device.
         how: "received" or "answered": whether it was recognised without a request.
-        samples, losses: numbers of the candidate's decoded samples and of its losses; 0 if it does not send.
-        rate_Hz: sample rate by the host's clock, rounded to a usual one, Hz; None if unknown.
         bytes_in: number of bytes received without a request.
         others: names of other drivers that decode the bytes too.
         seconds: duration of the search, s.
@@ -56,25 +53,11 @@ class Result:
     port: str
     state: Literal["device", "unknown device", "silent"] | State
     note: str = ""
-    trial: Trial | None = None
-    found: FoundDevice = field(default_factory=FoundDevice)
+    evidence: Evidence | None = None
     how: Literal["", "received", "answered"] = ""
-    samples: int = 0
-    losses: int = 0
-    rate_Hz: float | None = None
     bytes_in: int = 0
     others: tuple[str, ...] = ()
     seconds: float = 0.0
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        """Settings of the rig file's table, as far as they are known, without driver and port."""
-        known = {key: plain_number(value) for key, value in self.found.settings.items()}
-        if self.trial is None or self.rate_Hz is None or "rate_Hz" in known:
-            return known
-        rate = {"rate_Hz": plain_number(self.rate_Hz)}
-        accepted = getattr(self.trial.with_settings(rate).settings, "rate_Hz", None) == self.rate_Hz
-        return known | rate if accepted else known
 
 
 class PortSearch:
@@ -142,17 +125,9 @@ class PortSearch:
     def _candidate(self, best: Sequence[Evidence]) -> Result:
         first = best[0]
         others = {each.trial.driver.name for each in best[1:]} - {first.trial.driver.name}
-        return Result(
-            self._port,
-            "device",
-            trial=first.trial,
-            found=FoundDevice({**_line_settings(first.trial), **first.found.settings}, first.found.identity),
-            how="received",
-            samples=first.samples,
-            losses=first.losses,
-            rate_Hz=usual_rate(first.rate_Hz),
-            others=tuple(sorted(others)),
-        )
+        found = FoundDevice({**_line_settings(first.trial), **first.found.settings}, first.found.identity)
+        evidence = replace(first, found=found)
+        return Result(self._port, "device", evidence=evidence, how="received", others=tuple(sorted(others)))
 
     def _read(self, link: Link, silence_s: float, look_s: float) -> list[tuple[bytes, int]]:
         """Read a port: for `silence_s` while it is silent, for `look_s` from its first byte; s."""
@@ -173,7 +148,7 @@ class PortSearch:
 
     def _asked(self, before: Result) -> Result:
         """Return the answer to a request for identification; without an answer what was found before."""
-        trials = self._trials if before.trial is None else [before.trial]
+        trials = self._trials if before.evidence is None else [before.evidence.trial]
         trials = [each for each in trials if each.driver.identity_request is not None]
         done = 0
         for line in _lines(trials):
@@ -222,10 +197,11 @@ def _best(trials: Iterable[Trial], reads: Reads) -> list[Evidence]:
 
 def _with_answer(before: Result, trial: Trial, found: FoundDevice) -> Result:
     """Return the result of a port whose device answered, with what was received before."""
-    settings = {**before.found.settings, **_line_settings(trial), **found.settings}
-    both = FoundDevice(settings, {**before.found.identity, **found.identity})
-    how: Literal["received", "answered"] = "received" if before.how == "received" else "answered"
-    return replace(before, state="device", note="", trial=trial.with_settings(settings), found=both, how=how)
+    heard = before.evidence or Evidence(trial, FoundDevice())
+    settings = {**heard.found.settings, **_line_settings(trial), **found.settings}
+    both = FoundDevice(settings, {**heard.found.identity, **found.identity})
+    evidence = replace(heard, trial=trial.with_settings(settings), found=both)
+    return replace(before, state="device", note="", evidence=evidence, how=before.how or "answered")
 
 
 def _line_settings(trial: Trial) -> dict[str, Any]:

@@ -60,21 +60,32 @@ class Trial:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the bytes of a port give with a trial.
+    """What a port gives with a trial: by the bytes received without a request, and by an answer.
 
     Attributes:
-        trial: the trial, with the settings that its bytes contain.
-        found: settings and identity in the bytes.
-        samples: number of decoded samples of the channel with most of them.
+        trial: the trial, with the settings that the device reports.
+        found: settings and identity that the device reports.
+        samples: number of decoded samples of the channel with most of them; 0 if the device does not send.
         losses: number of losses on the line, without messages of other devices and samples without a valid reading.
         rate_Hz: sample rate by the host's clock, Hz; NaN without two reads with samples.
     """
 
     trial: Trial
     found: FoundDevice
-    samples: int
-    losses: int
-    rate_Hz: float
+    samples: int = 0
+    losses: int = 0
+    rate_Hz: float = math.nan
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of the rig file's table, as far as they are known, without driver and port."""
+        known = {key: plain_number(value) for key, value in self.found.settings.items()}
+        rate = usual_rate(self.rate_Hz)
+        if rate is None or "rate_Hz" in known:
+            return known
+        measured = {"rate_Hz": plain_number(rate)}
+        accepted = getattr(self.trial.with_settings(measured).settings, "rate_Hz", None) == rate
+        return known | measured if accepted else known
 
     @property
     def convinces(self) -> bool:

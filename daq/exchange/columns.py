@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.unit_words import name_and_unit
+from rig_basics.texts import did_you_mean
 
 _NAMES_SHOWN = 40
 _NAMES_COMPARED = 1000  # each comparison takes some 30 µs
@@ -100,8 +100,7 @@ def pick(recording: ColumnFile, wanted: str, field: str) -> str:
     without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
     if len(without_unit) == 1:
         return without_unit[0]
-    near = difflib.get_close_matches(wanted, names[:_NAMES_COMPARED], 1, 0.4)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = did_you_mean(wanted, names[:_NAMES_COMPARED])
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")
     shown = shown or "(the file has none)"
     raise ExchangeError(f"{recording.path}: {field}: expected one of the columns {shown}, got {wanted!r}{hint}")

@@ -17,21 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from daq.exchange.csv_files import CsvFiles
+from daq.exchange.arrow_files import ArrowFiles
 from daq.exchange.errors import ExchangeError
 from daq.exchange.hdf5_file import Hdf5File
 from daq.exchange.mat_file import MatFile
-from daq.exchange.parquet_files import ParquetFiles
 from daq.exchange.provenance import iso_time, log_facts, source_facts
 from daq.exchange.staging import Staging
-from daq.exchange.tables import (
-    Layout,
-    TableWriter,
-    sample_columns,
-    sample_layout,
-    sample_slices,
-    signal_tables,
-)
+from daq.exchange.tables import Layout, TableWriter, sample_columns, sample_layout, signal_tables
 from daq.log import Log, open_log
 from daq.log.time_span import TimeSpan
 from daq.signals.run import Run, load_run
@@ -39,6 +31,7 @@ from rig_basics.texts import storable
 
 Format = Literal["parquet", "csv", "mat", "hdf5"]
 _SUFFIXES: Mapping[str, Format] = {".parquet": "parquet", ".csv": "csv", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5"}
+_ROWS = 500_000  # approximate number of samples in memory
 _SUFFIX_OF: Mapping[Format, str] = {"parquet": ".parquet", "csv": ".csv", "mat": ".mat", "hdf5": ".h5"}
 
 Progress = Callable[[float], None]
@@ -119,12 +112,11 @@ class _Job:
         layouts = [sample_layout(log, topic) for topic in topics]
         rows = dict.fromkeys(topics, 0)
         source = source_facts(log.path)
-        from_ns, to_ns = self.window.ns(log.start_ns)
         total = max(1, sum(log.count(topic) for topic in topics))
         with closing(self._writer(layouts)) as writer:
-            for part in sample_slices(log, topics, from_ns, to_ns):
-                for topic in topics:
-                    columns = sample_columns(part[topic], log.start_ns)
+            for topic in topics:
+                for part in self._part.parts(topic, _ROWS):
+                    columns = sample_columns(part, log.start_ns)
                     rows[topic] += len(columns["time_ns"])
                     writer.append(topic, columns)
                     if progress is not None:
@@ -167,7 +159,12 @@ class _Job:
             return MatFile(layouts, self.staging.place(self.out))
         places = {layout.name: self.staging.place(self._file(layout, len(layouts))) for layout in layouts}
         self.staging.place(self._sidecar)  # raises before the work if the name is taken
-        return ParquetFiles(layouts, places) if self.format == "parquet" else CsvFiles(layouts, places)
+        return ArrowFiles(layouts, places, self.format)
+
+    @property
+    def _part(self) -> Log:
+        """The log, limited to the window."""
+        return self.log if self.window.is_whole else self.log.between(*self.window.ns(self.log.start_ns))
 
     @property
     def _sidecar(self) -> Path:
@@ -177,7 +174,7 @@ class _Job:
         return self.out if tables == 1 else self.out.with_stem(f"{self.out.stem}-{layout.plain_name}")
 
     def _finish(self, writer: TableWriter, layouts: Sequence[Layout], facts: dict[str, Any]) -> None:
-        notes = {"events": self._notes("events"), "health": self._notes("health")}
+        notes = {"events": self._part.events, "health": self._part.health}
         if self.format in ("mat", "hdf5"):
             writer.finish({**facts, **notes})
             return
@@ -186,15 +183,6 @@ class _Job:
         files = {layout.name: self._file(layout, len(layouts)).name for layout in layouts}
         text = json.dumps({**facts, "files": files, "units": units, **notes}, ensure_ascii=False, indent=1)
         self.staging.place(self._sidecar).write_text(storable(text), encoding="utf-8")
-
-    def _notes(self, topic: str) -> list[dict[str, Any]]:
-        from_ns, to_ns = self.window.ns(self.log.start_ns)
-        notes = self.log.events if topic == "events" else self.log.health
-        return [
-            note
-            for note in notes
-            if (from_ns is None or note["time_ns"] >= from_ns) and (to_ns is None or note["time_ns"] < to_ns)
-        ]
 
 
 def _window_facts(window: TimeSpan, start_ns: int) -> dict[str, Any]:

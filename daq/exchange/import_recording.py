@@ -31,7 +31,7 @@ from daq.exchange.columns import ColumnFile
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part, write_log
 from daq.exchange.imported_parts import ImportFindings, gap_events, make_parts, release_events
-from daq.exchange.provenance import file_sha256, iso_time
+from daq.exchange.provenance import iso_time
 from daq.exchange.readings import LEAST_ROWS, SensorReadings, since_1970
 from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
@@ -39,6 +39,7 @@ from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.guided_test_kinds import KINDS, kind_of, point_of
 from daq.log.time_span import TimeSpan
+from daq.log.verdicts import digest_of
 from daq.version import software_version
 from rig_basics.texts import storable
 from rig_configs.schema import Rig
@@ -123,7 +124,7 @@ def _cut_out(readings: Mapping[str, SensorReadings], span: TimeSpan) -> dict[str
     first = min(int(found.time_ns[0]) for found in readings.values() if len(found.time_ns))
     last = max(int(found.time_ns[-1]) for found in readings.values() if len(found.time_ns))
     zero = first if any(since_1970(found.time_ns) for found in readings.values()) else 0
-    part = {name: found.within(*span.closed_ns(zero)) for name, found in readings.items()}
+    part = {name: found.within(*span.ns(zero)) for name, found in readings.items()}
     for name, found in part.items():
         if len(found.time_ns) < LEAST_ROWS and name != "marks":
             raise ExchangeError(
@@ -174,7 +175,7 @@ def _facts(recording: ColumnFile, rig: Rig, recipe: Recipe, clock: RecorderClock
         **clock.facts,
         "test": recipe.test_name,
         "note": recipe.note,
-        "origin": f"{recording.path.name} sha256:{file_sha256(recording.path)}",
+        "origin": f"{recording.path.name} {digest_of(recording.path)}",
     }
     if point := point_of(recipe.test_name):
         facts["point"] = point
@@ -188,7 +189,9 @@ def _attachments(recording: ColumnFile, rig: Rig, recipe: Recipe, noticed: Impor
         rig = _with_counts(rig, recipe.counts_per_revolution)
     paths = [recording.path, *([marks] if (marks := marks_file(recipe)) else [])]
     made_of = {
-        "files": [{"name": p.name, "sha256": file_sha256(p), "bytes": p.stat().st_size} for p in paths],
+        "files": [
+            {"name": p.name, "sha256": digest_of(p).removeprefix("sha256:"), "bytes": p.stat().st_size} for p in paths
+        ],
         "columns": list(recording.names),
         "options": recipe.model_dump(mode="json"),
         "software": software_version(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +15,6 @@ from numpy.typing import NDArray
 from daq.channels import Channel
 from daq.items import Batch, DeviceEvent
 from daq.log.file import LogFile
-from rig_basics.ignoring import ignoring
-
-_log = logging.getLogger(__name__)
 
 _ROWS_PER_STEP = 8192
 
@@ -54,14 +50,9 @@ def write_log(
         RecordingError, OSError: the disk failed.
     """
     log = LogFile(path, metadata, attachments, (), time.time_ns(), [part.channel for part in parts])
-    try:
-        with log:
-            _write(log, parts, events, progress)
-            return log.finish(summary)
-    except BaseException:
-        with ignoring(_log, f"removing {log.part}", OSError):
-            log.part.unlink()  # the recording still contains all data
-        raise
+    with log.or_nothing():
+        _write(log, parts, events, progress)
+        return log.finish(summary)
 
 
 def _write(

@@ -63,8 +63,8 @@ class MatRecording:
         if isinstance(value, dict):
             for key, inner in cast("dict[str, Any]", value).items():
                 self._collect(f"{name}.{key}", inner)
-        elif _is_array(value) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
-            self._columns |= columns
+        elif _is_array(value) and value.dtype.kind in "iufb" and (columns := _columns_of(name, value.shape, along=1)):
+            self._columns |= {key: value.reshape(-1) if i is None else value[:, i] for key, i in columns.items()}
         else:
             self.others[name] = _described(value)
 
@@ -143,10 +143,8 @@ class Hdf5Recording:
         name, shape = place.replace("/", "."), item.shape
         if shape is None or item.dtype.kind not in "iuf":
             self.others[name] = "without values" if shape is None else _described(item)
-        elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
-            self._places[name] = (place, None)
-        elif len(shape) == 2 and shape[0] <= _MAX_COLUMNS:  # MATLAB's columns are HDF5's rows
-            self._places |= {f"{name}.{i + 1}": (place, i) for i in range(shape[0])}
+        elif columns := _columns_of(name, shape, along=0):  # MATLAB's columns are HDF5's rows
+            self._places |= {key: (place, i) for key, i in columns.items()}
         else:
             self.others[name] = _described(item)
 
@@ -163,12 +161,12 @@ def _described(value: Any) -> str:
     return f"of type {type(value).__name__}"
 
 
-def _vectors(name: str, value: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Return a vector, or the columns of a matrix, by name."""
-    if value.ndim == 1 or (value.ndim == 2 and 1 in value.shape):
-        return {name: value.reshape(-1)}
-    if value.ndim == 2 and value.shape[1] <= _MAX_COLUMNS:
-        return {f"{name}.{i + 1}": value[:, i] for i in range(value.shape[1])}
+def _columns_of(name: str, shape: tuple[int, ...], along: int) -> dict[str, int | None]:
+    """Return the names of an array's columns with their indices along an axis, None for a vector; empty for others."""
+    if len(shape) == 1 or (len(shape) == 2 and 1 in shape):
+        return {name: None}
+    if len(shape) == 2 and shape[along] <= _MAX_COLUMNS:
+        return {f"{name}.{i + 1}": i for i in range(shape[along])}
     return {}
 
 

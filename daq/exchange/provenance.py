@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from daq.log import Log
 from daq.log.losses import losses_of
+from daq.log.outcome import json_or_text
+from daq.log.verdicts import digest_of
 from daq.version import software_version
-
-_BLOCK = 1 << 20
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file as 64 hex digits, read in blocks."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def iso_time(time_ns: int) -> str:
@@ -52,7 +41,7 @@ def source_facts(path: Path) -> dict[str, Any]:
     """Return the facts of the source file and of the exporting software."""
     return {
         "source": path.name,
-        "source_sha256": file_sha256(path),
+        "source_sha256": digest_of(path).removeprefix("sha256:"),
         "source_bytes": path.stat().st_size,
         "exported_by": f"rig {software_version()}",
     }
@@ -61,10 +50,4 @@ def source_facts(path: Path) -> dict[str, Any]:
 def _json_attachment(log: Log, name: str) -> Any:
     """Return an attachment's content: decoded from JSON, or as text; None if the attachment is missing."""
     data = log.attachments.get(name)
-    if data is None:
-        return None
-    text = data.decode("utf-8", "replace")
-    try:
-        return json.loads(text)
-    except ValueError:  # usual: plain text
-        return text
+    return None if data is None else json_or_text(data.decode("utf-8", "replace"))

@@ -113,43 +113,30 @@ def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice,
 
 
 def read_sensor(
-    column: Column,
-    choice: ColumnChoice,
-    time: Column | NDArray[np.int64],
-    time_choice: ColumnChoice | None,
-    invalid: Sequence[float],
-    field: str,
+    column: Column, choice: ColumnChoice, time: Column, time_choice: ColumnChoice, invalid: Sequence[float], field: str
 ) -> SensorReadings:
     """Return a sensor's samples; rows without a value for it are omitted.
 
     Args:
         column, choice: its readings and their unit.
-        time, time_choice: the column of times with its unit, or times of all rows in ns, shape (n,), and None.
+        time, time_choice: the times of all rows and their unit.
         invalid: values that mean "no reading", as in the file.
         field: field of the recipe that named the column, for messages.
 
     Raises:
         ExchangeError: different lengths, too few samples, or bad times.
     """
-    length = len(time.values) if isinstance(time, Column) else len(time)
-    if length != len(column.values):
+    if len(time.values) != len(column.values):
         raise ExchangeError(
             f"{field} {column.name}: expected as many values as there are times, got {len(column.values)} and "
-            f"{length}; name its own times: {column.name}:{choice.unit}@TIME:s"
+            f"{len(time.values)}; name its own times: {column.name}:{choice.unit}@TIME:s"
         )
     value = column.values.astype(np.float64)
-    present = ~column.absent
-    if isinstance(time, Column):  # a shorter column ends with empty rows
-        no_time = time.absent | np.isnan(time.values.astype(np.float64))
-        present &= ~(np.isnan(value) & no_time)
-    row = np.flatnonzero(present)
+    no_time = time.absent | np.isnan(time.values.astype(np.float64))
+    row = np.flatnonzero(~column.absent & ~(np.isnan(value) & no_time))  # a shorter column ends with empty rows
     if len(row) < LEAST_ROWS:
         raise ExchangeError(f"{field} {column.name}: expected at least {LEAST_ROWS} samples, got {len(row)}")
-    if isinstance(time, Column):
-        assert time_choice is not None
-        time_ns = times_ns(time.keep(row), time_choice, "time")
-    else:
-        time_ns = time[row]
+    time_ns = times_ns(time.keep(row), time_choice, "time")
     value = value[row]
     is_invalid = ~np.isfinite(value) | np.isin(value, np.asarray(invalid, float))
     if is_invalid.all():

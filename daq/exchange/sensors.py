@@ -6,9 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.exchange.columns import Column, ColumnFile, pick
+from daq.exchange.columns import Column, ColumnFile, as_column, pick
 from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import SensorReadings, check_rate, check_size, check_small, read_sensor, times_ns
 from daq.exchange.recipe import QUANTITIES, Recipe
@@ -19,6 +18,7 @@ from rig_basics.texts import number_of
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
+_NANOSECONDS = ColumnChoice("rate", "ns", 1e-9)
 _MIN_SPAN_M, _MIN_SPAN_RAD = 1e-6, 1e-4
 _MAX_PHASE_RAD = 1e6  # more than a day of operation
 
@@ -38,23 +38,20 @@ def read_sensors(recording: ColumnFile, recipe: Recipe, rig: Rig, warnings: list
     choices = {name: _settled(recording, name, choice, recipe) for name, choice in recipe.choices.items()}
     marks, time = choices.pop("marks", None), choices.pop("time", None)
     names = {name: pick(recording, choice.name, name) for name, choice in choices.items()}
-    own_times = {
-        name: pick(recording, choice.time.name, f"{name} …@TIME") for name, choice in choices.items() if choice.time
+    timed = {
+        name: (choice.time, f"{name} …@TIME") if choice.time else (time, "time") for name, choice in choices.items()
     }
-    time_name = [pick(recording, time.name, "time")] if time else []
+    time_names = {name: pick(recording, own.name, field) for name, (own, field) in timed.items() if own}
     in_file = marks is not None and marks_file(recipe) is None
     mark_name = [pick(recording, marks.name, "marks")] if marks and in_file else []
-    columns = recording.read(dict.fromkeys([*names.values(), *own_times.values(), *time_name, *mark_name]))
+    columns = recording.read(dict.fromkeys([*names.values(), *time_names.values(), *mark_name]))
     found: dict[str, SensorReadings] = {}
     for name, choice in choices.items():
         column = columns[names[name]]
-        if choice.time:
-            readings = read_sensor(column, choice, columns[own_times[name]], choice.time, recipe.invalid, name)
-        elif time:
-            readings = read_sensor(column, choice, columns[time_name[0]], time, recipe.invalid, name)
-        else:
-            readings = read_sensor(column, choice, _row_times(recipe, column, name), None, recipe.invalid, name)
-        warnings += _check(name, readings, choice, column, choice.time or time, rig)
+        own, _ = timed[name]
+        times = columns[time_names[name]] if own else _row_times(recipe, column, name)
+        readings = read_sensor(column, choice, times, own or _NANOSECONDS, recipe.invalid, name)
+        warnings += _check(name, readings, choice, column, own, rig)
         found[name] = readings
     if marks is not None:
         found["marks"] = _marks(recipe, marks, columns[mark_name[0]] if mark_name else None, warnings)
@@ -80,7 +77,7 @@ def marks_file(recipe: Recipe) -> Path | None:
     return Path(marks.name) if marks and Path(marks.name).is_file() else None
 
 
-def _row_times(recipe: Recipe, column: Column, field: str) -> NDArray[np.int64]:
+def _row_times(recipe: Recipe, column: Column, field: str) -> Column:
     """Return the times of all rows in ns, from the rate alone."""
     if recipe.rate_Hz is None:
         raise ExchangeError(f"{field}: expected a column of times or a rate in addition, got neither")
@@ -90,7 +87,8 @@ def _row_times(recipe: Recipe, column: Column, field: str) -> NDArray[np.int64]:
             f"would take more than 146 "
             "years"
         )
-    return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
+    time_ns = np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
+    return as_column("rate", time_ns)
 
 
 def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None, warnings: list[str]) -> SensorReadings:

@@ -1,10 +1,9 @@
-"""Tables for export: columns with units, in slices that fit into memory, and the interface of a format's writer."""
+"""Tables for export: columns with units, and the interface of a format's writer."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,9 +15,6 @@ from daq.log.samples import Samples
 from daq.signals.run import Run
 
 Columns = Mapping[str, NDArray[Any]]
-
-_ROWS_PER_SLICE = 500_000
-_SMALLEST, _LARGEST = -(2**62), 2**62
 
 
 @dataclass(frozen=True)
@@ -75,22 +71,6 @@ def sample_layout(log: Log, topic: str) -> Layout:
     times = {"time_ns": np.int64, "time_s": np.float64, "log_time_ns": np.int64, "sequence": np.uint32}
     fields = {name: channel.dtype[name] for name in channel.names}
     return Layout(topic, {name: np.dtype(dtype) for name, dtype in {**times, **fields}.items()})
-
-
-def sample_slices(log: Log, topics: Sequence[str], from_ns: int | None, to_ns: int | None) -> Iterator[Log]:
-    """Yield the log in time windows of about half a million samples each, with from_ns ≤ time_ns < to_ns.
-
-    The rows of a channel are in the order of the log, unless a clock was set back across the end of a window.
-    """
-    count = sum(log.count(topic) for topic in topics)
-    first = log.start_ns if from_ns is None else max(from_ns, log.start_ns)
-    last = log.end_ns if to_ns is None else min(to_ns, log.end_ns)
-    share = (last - first) / max(1, log.end_ns - log.start_ns)
-    spans = max(1, round(count * share / _ROWS_PER_SLICE))
-    inner = [first + (last - first) * i // spans for i in range(1, spans)]
-    edges = [_SMALLEST if from_ns is None else from_ns, *inner, _LARGEST if to_ns is None else to_ns]
-    for start, end in pairwise(edges):
-        yield log.between(start, end)
 
 
 def signal_tables(run: Run, from_s: float | None, to_s: float | None) -> dict[str, dict[str, NDArray[Any]]]:

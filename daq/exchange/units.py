@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from daq.exchange.errors import ExchangeError
+from rig_basics.texts import did_you_mean
 from rig_basics.units import RPM
 
 Quantity = Literal["time", "length", "angle", "speed"]
@@ -21,19 +21,7 @@ UNITS: Mapping[Quantity, Mapping[str, float]] = {
 }
 """Unit words with their values in s, m, rad, rad/s."""
 
-_SUFFIXES = {
-    "ns": "ns",
-    "us": "us",
-    "ms": "ms",
-    "s": "s",
-    "m": "m",
-    "mm": "mm",
-    "um": "um",
-    "rad": "rad",
-    "deg": "deg",
-    "rpm": "rpm",
-    "Hz": "Hz",
-}
+_SUFFIXES = frozenset(("ns", "us", "ms", "s", "m", "mm", "um", "rad", "deg", "rpm", "Hz"))
 _QUOTIENTS = {"_m_per_s": "m/s", "_rad_per_s": "rad/s", "_Nms_per_rad": "N m s/rad"}
 _COUNTS = {"sequence", "counter", "count_a", "count_b", "revolutions", "device_ticks"}
 
@@ -44,7 +32,7 @@ def unit_of(field: str) -> str:
         if field.endswith(ending):
             return unit
     ending = field.rpartition("_")[2] if "_" in field else ""
-    return "count" if field in _COUNTS else _SUFFIXES.get(ending, "1")
+    return "count" if field in _COUNTS else ending if ending in _SUFFIXES else "1"
 
 
 @dataclass(frozen=True)
@@ -155,5 +143,4 @@ def _hint(unit: str, quantity: Quantity) -> str:
     for other, words in UNITS.items():
         if other != quantity and unit.removeprefix("-") in words:
             return f", which is a unit of {other}"
-    near = difflib.get_close_matches(unit, UNITS[quantity], 1, 0.4)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    return did_you_mean(unit, UNITS[quantity])

@@ -17,7 +17,7 @@ import json
 import logging
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Literal, cast
@@ -219,6 +219,17 @@ class LogFile:
         """Close the file. An unfinished file remains as .part, readable up to the last flush."""
         with ignoring(_log, f"closing {self.part}", OSError):  # closing retries the data that a full disk did not take
             self.file.close()
+
+    @contextlib.contextmanager
+    def or_nothing(self) -> Generator[None]:
+        """Return a context that closes the file, and removes it if the block raises: its origin has all the data."""
+        try:
+            with self:
+                yield
+        except BaseException:
+            with ignoring(_log, f"removing {self.part}", OSError):
+                self.part.unlink(missing_ok=True)
+            raise
 
     def __enter__(self) -> LogFile:
         return self

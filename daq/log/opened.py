@@ -12,7 +12,6 @@ Sample fields are read from the schema in the file, so logs of other versions ar
 
 from __future__ import annotations
 
-import difflib
 import json
 import operator
 from collections.abc import Callable, Iterator, Mapping
@@ -29,6 +28,7 @@ from daq.log.samples import RawChunk, Samples
 from daq.log.source import LogSource
 from daq.log.window import LogWindow
 from daq.mcap.missing import Missing
+from rig_basics.texts import did_you_mean
 
 
 class Log(Mapping[str, Samples]):
@@ -190,8 +190,24 @@ class Log(Mapping[str, Samples]):
         if not self._is_samples(topic):
             raise self._missing_channel(topic, list(self))
         if topic not in self._samples:
-            self._samples[topic] = self._decode(topic)
+            self._samples[topic] = next(self.parts(topic))
         return self._samples[topic]
+
+    def parts(self, topic: str, rows: int = 2**62) -> Iterator[Samples]:
+        """Yield the samples of a topic in file order, at least one part; nothing is kept.
+
+        Args:
+            rows: approximate number of samples in a part.
+
+        Raises:
+            ChannelMissing, LogError: as for all samples at once.
+        """
+        layout = self.channel(topic)
+        try:
+            for part in self._window.columns(topic, layout, rows):
+                yield Samples(topic, part.publish_ns, part.log_ns, part.sequence, part.fields)
+        except ValueError as fault:
+            raise LogError(f"{self.path}: {fault}; the file was not written by this package's schema") from fault
 
     def raw(self, device: str) -> list[RawChunk]:
         """Return the bytes from and to one device, in file order.
@@ -257,24 +273,16 @@ class Log(Mapping[str, Samples]):
         return schema.name if schema else ""
 
     def _missing_channel(self, wanted: str, present: list[str]) -> ChannelMissing:
-        near = difflib.get_close_matches(wanted, present, 1, 0.4)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
         lacking = f" (the file is incomplete: {'; '.join(map(str, self.missing))})" if self.missing else ""
-        return ChannelMissing(f"{self.path}: expected one of {present}, got {wanted!r}{hint}{lacking}")
+        return ChannelMissing(
+            f"{self.path}: expected one of {present}, got {wanted!r}{did_you_mean(wanted, present)}{lacking}"
+        )
 
     def _span(self) -> tuple[int, int]:
         if self.window_ns is None:
             return self._source.contents.span_ns
         times = [part.log_ns for part in self._window.messages(list(self.topics)) if len(part.log_ns)]
         return (min(int(t.min()) for t in times), max(int(t.max()) for t in times)) if times else (0, 0)
-
-    def _decode(self, topic: str) -> Samples:
-        layout = self.channel(topic)
-        try:
-            columns = self._window.columns(topic, layout)
-        except ValueError as fault:
-            raise LogError(f"{self.path}: {fault}; the file was not written by this package's schema") from fault
-        return Samples(topic, columns.publish_ns, columns.log_ns, columns.sequence, columns.fields)
 
     def _raw(self, devices: list[str]) -> Iterator[tuple[str, RawChunk]]:
         topics = [RAW_PREFIX + device for device in devices]

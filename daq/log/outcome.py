@@ -57,11 +57,16 @@ def not_reached(test: str, outcome: Mapping[str, Any]) -> str:
 
 def not_reached_of(log: Log) -> str:
     """Return what the guided test in a log did not reach; see `not_reached`."""
-    outcome = {key: _value(text) for key, text in log.metadata.get("summary", {}).items()}
-    return not_reached(log.metadata.get("run", {}).get("test", ""), outcome)
+    return not_reached(log.metadata.get("run", {}).get("test", ""), summary_of(log))
 
 
-def _value(text: str) -> Any:
+def summary_of(log: Log) -> dict[str, Any]:
+    """Return the values of a log's summary, decoded from JSON; a text that is no JSON is returned unchanged."""
+    return {key: json_or_text(text) for key, text in log.metadata.get("summary", {}).items()}
+
+
+def json_or_text(text: str) -> Any:
+    """Return a value decoded from JSON; a text that is no JSON is returned unchanged."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):  # usual: plain text

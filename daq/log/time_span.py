@@ -35,15 +35,10 @@ class TimeSpan:
         """Whether the span contains all samples."""
         return self.from_s is None and self.to_s is None
 
-    def ns(self, start_ns: int) -> tuple[int | None, int | None]:
-        """Return both ends in ns since 1970."""
-        ends = (None if s is None else start_ns + round(s * 1e9) for s in (self.from_s, self.to_s))
-        return next(ends), next(ends)
-
-    def closed_ns(self, start_ns: int) -> tuple[int, int]:
+    def ns(self, start_ns: int) -> tuple[int, int]:
         """Return both ends in ns since 1970; an open end is before or after all times."""
-        begin, end = self.ns(start_ns)
-        return -LATEST_NS if begin is None else begin, 2 * LATEST_NS - 1 if end is None else end
+        begin = -LATEST_NS if self.from_s is None else start_ns + round(self.from_s * 1e9)
+        return begin, 2 * LATEST_NS - 1 if self.to_s is None else start_ns + round(self.to_s * 1e9)
 
     def __str__(self) -> str:
         """Return for example "2 s to 5 s"."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from daq.mcap.chunks import ChunkTable
 from daq.mcap.scan import Messages
 
 _log = logging.getLogger(__name__)
+
+_Part = TypeVar("_Part")
 
 
 class LogWindow:
@@ -38,19 +41,29 @@ class LogWindow:
             ids.setdefault(channel.topic, []).append(channel_id)
         return ids
 
-    def columns(self, topic: str, layout: Channel) -> Columns:
-        """Return the samples of a topic whose own time is in the window.
+    def columns(self, topic: str, layout: Channel, rows: int) -> Iterator[Columns]:
+        """Yield the samples of a topic whose own time is in the window, in file order; at least one part.
+
+        Args:
+            rows: approximate number of samples in a part, which consists of whole chunks.
 
         Raises:
             ValueError: a message is not a protobuf message of this schema.
             LogError: the log was closed.
         """
-        try:
-            columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
-        except IndexWrongError as error:
-            _log.info("the whole file is read, since its index is wrong: %s", error)
-            self._source.walk()
-            columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
+        return self._in_order(lambda position: self._columns_from(position, topic, layout, rows))
+
+    def _columns_from(self, position: int, topic: str, layout: Channel, rows: int) -> Iterator[tuple[int, Columns]]:
+        """As `columns`, for chunks that begin at byte `position` or later, each part with its last chunk's position."""
+        table, chunks, ids = self._source.contents.table, self._chunks(), self.ids()[topic]
+        chunks = chunks[table.start[chunks] >= position]
+        counts = table.messages(chunks, ids)
+        for part in np.split(chunks, np.flatnonzero(np.diff(np.cumsum(counts) // rows)) + 1):
+            columns = read_columns(self._source, part, ids, layout)
+            yield int(table.start[part].max(initial=0)), self._inside(columns)
+
+    def _inside(self, columns: Columns) -> Columns:
+        """Return the samples whose own time is in the window."""
         if self._window_ns is None:
             return columns
         start, end = self._window_ns
@@ -65,12 +78,16 @@ class LogWindow:
         Raises:
             LogError: the log was closed.
         """
+        return self._in_order(lambda position: self._from(position, topics))
+
+    def _in_order(self, read: Callable[[int], Iterator[tuple[int, _Part]]]) -> Iterator[_Part]:
+        """Yield the parts that `read` returns from a position on, each with the position of its last chunk."""
         position = 0
         while position >= 0:
             try:
-                for start, messages in self._from(position, topics):
+                for start, part in read(position):
                     position = start + 1
-                    yield messages
+                    yield part
                 position = -1
             except IndexWrongError as error:
                 _log.info("the whole file is read, since its index is wrong: %s", error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import logging
 from collections.abc import Mapping
 from typing import Protocol
@@ -17,7 +16,7 @@ from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.slcan import AdapterText
 from daq.transports.wires import KINDS, make_wire
-from rig_basics.texts import number_of
+from rig_basics.texts import did_you_mean, number_of
 
 _log = logging.getLogger(__name__)
 
@@ -155,8 +154,7 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
         if not sign or not port:
             raise LogError(f"{to!r}: expected {', '.join(KINDS)}, or ports like laser_x=PORT,drive=PORT")
         if device not in log.devices:
-            near = difflib.get_close_matches(device, log.devices, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
+            hint = did_you_mean(device, log.devices)
             raise LogError(f"{log.path}: contains raw bytes of {', '.join(log.devices)}, not of {device!r}{hint}")
         if device in ports:
             raise LogError(f"{to!r}: {device} is named twice; a device is played to one port")

@@ -7,6 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -142,7 +143,7 @@ class ChannelComparison:
             self._compare()
         left = self._rows.read_next(_SLICE, self._until_ns)
         while len(left["time_ns"]):  # in the log, but not decoded from its raw bytes
-            self._lone(self._compared + self._extra, left, None)
+            self._lone(self._compared + self._extra, left, in_log=True)
             left = self._rows.read_next(_SLICE, self._until_ns)
         return ChannelCheck(
             self._topic,
@@ -172,7 +173,7 @@ class ChannelComparison:
             if self._cut and self._until_ns is None:
                 self._extra += len(log_time_ns) - pairs
             else:
-                self._lone(self._compared, None, unpaired)
+                self._lone(self._compared, unpaired, in_log=False)
 
     def _pair(self, stored: Columns, decoded: Columns) -> None:
         differs = np.zeros(len(stored["time_ns"]), bool)
@@ -210,19 +211,13 @@ class ChannelComparison:
         difference.squares += float(np.sum(apart**2))
         difference.pairs += len(apart)
 
-    def _lone(self, index: int, stored: Columns | None, decoded: Columns | None) -> None:
-        present = stored if stored is not None else decoded
-        assert present is not None
-        self._differing += len(present["time_ns"])
+    def _lone(self, index: int, rows: Columns, *, in_log: bool) -> None:
+        """Count samples that only the log has, or only the present decoder."""
+        self._differing += len(rows["time_ns"])
         if self._first is None:
-            shown = int(present["sequence"][0])
-            self._first = FirstDifference(
-                index,
-                int(present["time_ns"][0]),
-                "sequence",
-                None if stored is None else shown,
-                None if decoded is None else shown,
-            )
+            shown = int(rows["sequence"][0])
+            both = (shown, None) if in_log else (None, shown)
+            self._first = FirstDifference(index, int(rows["time_ns"][0]), "sequence", *both)
 
 
 def _differing(stored: NDArray[Any], decoded: NDArray[Any]) -> NDArray[np.bool_]:
@@ -268,28 +263,26 @@ class EventComparison:
         for device, stored in self._live.items():
             made = self._again[device]
             kept = stored if self._until_ns is None else stored[: len(made)]
-            pairs = min(len(kept), len(made))
-            wrong = [i for i in range(pairs) if kept[i] != made[i]]
-            if wrong:
-                firsts.append(_event_difference(wrong[0], kept[wrong[0]], made[wrong[0]]))
-            lone = len(kept) - pairs
-            if len(made) > pairs and self._cut and self._until_ns is None:
-                extra += len(made) - pairs
-            else:
-                lone += len(made) - pairs
-            if lone and not wrong:
-                there, in_log = (kept[pairs], True) if len(kept) > pairs else (made[pairs], False)
-                text = f"{there['kind']} {device}: {there['text']}"
-                firsts.append(
-                    FirstDifference(pairs, there["time_ns"], "kind", text if in_log else None, None if in_log else text)
-                )
-            compared += pairs
-            differing += len(wrong) + lone
+            compared += min(len(kept), len(made))
+            if self._cut and self._until_ns is None:
+                extra += max(0, len(made) - len(kept))
+                made = made[: len(kept)]
+            wrong = [(i, *pair) for i, pair in enumerate(zip_longest(kept, made)) if pair[0] != pair[1]]
+            differing += len(wrong)
+            firsts += [_event_difference(*each) for each in wrong[:1]]
         first = min(firsts, key=lambda d: d.time_ns, default=None)
         return ChannelCheck(channels.EVENTS_TOPIC, live, again + self._late, compared, differing, extra, first)
 
 
-def _event_difference(index: int, stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> FirstDifference:
-    keys = [key for key in {**stored, **decoded} if stored.get(key) != decoded.get(key)]
-    key = keys[0]
+def _event_difference(
+    index: int, stored: Mapping[str, Any] | None, decoded: Mapping[str, Any] | None
+) -> FirstDifference:
+    """Return the difference of two events, of which one may be missing."""
+    if stored is None or decoded is None:
+        texts = (
+            None if event is None else f"{event['kind']} {event['device']}: {event['text']}"
+            for event in (stored, decoded)
+        )
+        return FirstDifference(index, (stored or decoded or {})["time_ns"], "kind", *texts)
+    key = next(key for key in {**stored, **decoded} if stored.get(key) != decoded.get(key))
     return FirstDifference(index, stored["time_ns"], key, stored.get(key), decoded.get(key))

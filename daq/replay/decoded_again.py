@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,19 +12,17 @@ from typing import Any
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, Channel
 from daq.drivers.calibrated import CalibratedPipeline
 from daq.drivers.devices import channels_of
-from daq.errors import LogError
 from daq.items import Batch, joined
 from daq.log import Log, open_log
 from daq.log.file import FOXGLOVE, LogFile
+from daq.log.outcome import summary_of
 from daq.log.snapshot import identities_of, rig_of
+from daq.log.verdicts import digest_of
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of, pipelines_with
 from daq.version import DECODER, software_version
-from rig_basics.ignoring import ignoring
-
-_log = logging.getLogger(__name__)
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this time are written together, as in a recording
 _ORIGIN_KEYS = ("origin", "origin_sha256", "origin_software", "calibration")
@@ -88,17 +84,12 @@ def decode_again(
         facts = _facts(log, calibration)
         known = channels_of(rig.devices)
         new = LogFile(Path(out), facts, attachments, log.devices, time.time_ns(), known.values())
-        try:
+        with new.or_nothing():
             copy = _Copy(log, new, pipelines, known)
             copy.run(progress)
             missing = tuple(str(place) for place in log.missing)
             losses = {device: dict(pipeline.losses) for device, pipeline in pipelines.items()}
             made = new.finish(_summary(log, losses, missing))
-        except BaseException:
-            new.close()
-            with ignoring(_log, f"removing {new.part}", OSError):
-                new.part.unlink(missing_ok=True)  # the origin still exists, an incomplete copy is useless
-            raise
         return DecodedLog(made, copy.moved(), losses, missing)
 
 
@@ -155,11 +146,7 @@ def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
     facts = {(f"origin.{key}" if key in _ORIGIN_KEYS else key): value for key, value in run.items()}
     others = {name: table for name, table in log.metadata.items() if name not in _REWRITTEN}
     facts |= {f"origin.{name}": json.dumps(table, ensure_ascii=False) for name, table in others.items()}
-    try:
-        with log.path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as fault:
-        raise LogError(f"{log.path}: cannot be read any more ({fault}): check the path") from fault
+    digest = digest_of(log.path).removeprefix("sha256:")
     facts |= {"origin": log.path.name, "origin_sha256": digest, "software": software_version()}
     facts["decoder"] = str(DECODER)
     facts["origin_software"] = run.get("software", "unknown")
@@ -170,17 +157,9 @@ def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
 
 def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> dict[str, Any]:
     """Return the origin's summary with the new losses; the origin's losses are kept under another name."""
-    old = {key: _value(text) for key, text in log.metadata.get("summary", {}).items()}
+    old = summary_of(log)
     if "losses" in old:
         old["losses_of_origin"] = old["losses"]
     if missing:
         old["missing_of_origin"] = list(missing)
     return {**old, "losses": losses}
-
-
-def _value(text: str) -> Any:
-    """Decode a JSON value of a summary; other text is returned unchanged."""
-    try:
-        return json.loads(text)
-    except ValueError:  # usual: plain text
-        return text

@@ -231,14 +231,12 @@ class _Run:
             self._at_closing += 1
             return
         finding = finding_of(stop.interlock, stop.text)
-        for number in range(len(self.trips) - 1, -1, -1):
-            earlier = self.trips[number]
-            if finding_of(earlier.interlock, earlier.text) == finding:
-                if now_ns - earlier.last_ns <= _ns(_AGAIN_S) or not self._all:
-                    self.trips[number] = replace(earlier, last_ns=now_ns, found=earlier.found + 1)
-                    return
-                break
-        if self.trips and not self._all and now_ns > self.trips[0].time_ns + self._together_ns:
+        same = [i for i, trip in enumerate(self.trips) if finding_of(trip.interlock, trip.text) == finding]
+        if same and (not self._all or now_ns - self.trips[same[-1]].last_ns <= _ns(_AGAIN_S)):
+            last = self.trips[same[-1]]
+            self.trips[same[-1]] = replace(last, last_ns=now_ns, found=last.found + 1)
+            return
+        if self._ended(now_ns):
             return
         speed = self._locks.speed_rpm(now_ns)
         newest = {topic: dict(values) for topic, values in self._newest.items()}

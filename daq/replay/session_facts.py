@@ -3,7 +3,6 @@ time at which it closed its devices."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -12,6 +11,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
 from daq.guided_test_kinds import kind_of
 from daq.log import Log
+from daq.log.outcome import summary_of
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
@@ -62,19 +62,11 @@ def closing_ns(log: Log) -> int:
 
     A session that was aborted ends its log last: after the stop in the log, or within the log's last seconds.
     """
-    ended = log.metadata.get("summary", {}).get("ended", "")
-    if not ended or _text(ended).startswith(_ENDS):
+    ended = str(summary_of(log).get("ended") or "")
+    if not ended or ended.startswith(_ENDS):
         return log.end_ns + 1
     stops = [note["time_ns"] for note in stops_of(log)]
     return min(stops) + _ns(TOGETHER_S) if stops else log.end_ns - _ns(_CLOSING_S)
-
-
-def _text(value: str) -> str:
-    """Return a text of the summary: decoded from JSON, or unchanged if it is no JSON."""
-    try:
-        return str(json.loads(value))
-    except (ValueError, RecursionError):  # usual: plain text
-        return value
 
 
 def _ns(seconds: float) -> int:

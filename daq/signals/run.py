@@ -132,7 +132,7 @@ def load_run(path: str | Path, span: TimeSpan = _WHOLE) -> Run:
             displacements are larger than the sensors can measure.
     """
     with open_log(path) as whole:
-        log = whole if span.is_whole else whole.between(*span.closed_ns(whole.start_ns))
+        log = whole if span.is_whole else whole.between(*span.ns(whole.start_ns))
         rig = rig_of(log)
         roles = rig.roles
         _refuse_restarts(log)

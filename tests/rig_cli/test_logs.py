@@ -150,7 +150,7 @@ def test_a_folder_that_may_not_be_read_is_reported(run_rig: Any, shelf: Path, mo
 
 
 def test_a_folder_that_keeps_nothing_is_reported_once(run_rig: Any, shelf: Path) -> None:
-    (shelf / ".rig-logs.sqlite").mkdir()
+    (shelf / ".rig-logs.json").mkdir()
     code, _, err = run_rig("logs", shelf)
     assert code == 0
     assert err.count("cannot be cached") == 1

@@ -13,7 +13,7 @@ from hypothesis import given, settings as hypothesis_settings, strategies as st
 from daq.discovery import search as search_module
 from daq.discovery.opening import PortNotOpened
 from daq.discovery.search import PortSearch, Result
-from daq.discovery.trials import Trial, drivers_found, evidence_of, trials_of, usual_rate
+from daq.discovery.trials import Evidence, Trial, drivers_found, evidence_of, trials_of, usual_rate
 from daq.drivers.contract import DeviceLine
 from daq.drivers.driver import Driver
 from daq.drivers.simulated import FarEnd
@@ -30,6 +30,11 @@ ASKING = [each for each in DRIVERS if each.identity_request is not None]
 
 def search(cable: Cable, ask: bool = False, drivers: list[Driver] = DRIVERS) -> Result:
     return PortSearch(cable.port, drivers, cable.clock, lambda text, share: None, cable.connect).run(ask)
+
+
+def seen(result: Result) -> Evidence:
+    assert result.evidence is not None
+    return result.evidence
 
 
 def streaming_optoncdt(**settings: Any) -> Cable:
@@ -90,12 +95,11 @@ def test_a_device_that_sends_is_recognised_without_a_sent_byte(
     cable = make()
     result = search(cable)
     assert result.state == "device"
-    assert result.trial is not None
-    assert result.trial.driver.name == name
+    assert seen(result).trial.driver.name == name
     assert result.how == "received"
-    assert {key: result.settings.get(key) for key in expected} == expected
-    assert result.losses == 0
-    assert result.samples > 100
+    assert {key: seen(result).settings.get(key) for key in expected} == expected
+    assert seen(result).losses == 0
+    assert seen(result).samples > 100
     assert cable.written == []
     assert result.others == ()
 
@@ -105,9 +109,8 @@ def test_a_drive_on_an_open_bus_is_recognised_by_its_reports() -> None:
     start = encode(CanFrame(0, bytes([1, 9])))
     cable.far.receive(open_bus(500_000) + start, 0.0)
     result = search(cable)
-    assert result.trial is not None
-    assert result.trial.driver.name == "cia402"
-    assert result.settings["node_id"] == 9
+    assert seen(result).trial.driver.name == "cia402"
+    assert seen(result).settings["node_id"] == 9
     assert cable.written == []
 
 
@@ -115,7 +118,7 @@ def test_a_sensor_without_a_target_is_recognised_too() -> None:
     cable = streaming_optoncdt()
     cable.far.fail("blocked", 1)
     result = search(cable)
-    assert (result.state, result.losses) == ("device", 0)
+    assert (result.state, seen(result).losses) == ("device", 0)
 
 
 def test_a_silent_port_takes_one_look() -> None:
@@ -149,7 +152,7 @@ def test_a_foreign_device_gets_no_driver(make: Callable[[np.random.Generator], b
     rng = np.random.default_rng(1)
     result = search(Cable(lambda world: Source(lambda: make(rng))), ask)
     assert result.state == "unknown device"
-    assert result.trial is None
+    assert result.evidence is None
     assert result.bytes_in > 1000
     assert result.seconds < 17
 
@@ -199,26 +202,25 @@ def test_reading_ends_on_a_line_that_never_pauses(monkeypatch: pytest.MonkeyPatc
 def test_a_device_that_answers_is_identified(name: str, settings: dict[str, Any], expected: dict[str, Any]) -> None:
     cable = Cable.of(name, **settings)
     result = search(cable, ask=True)
-    assert result.trial is not None
-    assert result.trial.driver.name == name
-    assert {key: result.settings.get(key) for key in expected} == expected
+    assert seen(result).trial.driver.name == name
+    assert {key: seen(result).settings.get(key) for key in expected} == expected
     assert result.seconds < 8
 
 
 def test_serial_number_and_firmware_are_reported() -> None:
-    assert search(Cable.of("optoncdt"), ask=True).found.identity == {
+    assert seen(search(Cable.of("optoncdt"), ask=True)).found.identity == {
         "name": "ILD1420",
         "serial": "14200001",
         "version": "001.019",
     }
-    assert search(Cable.of("riftek", baud=9600, rate_Hz=200.0), ask=True).found.identity["serial"] == 19001
-    assert search(Cable.of("vesc"), ask=True).found.identity["hardware"] == "60_MK5"
-    drive = search(Cable.of("cia402"), ask=True).found.identity
+    assert seen(search(Cable.of("riftek", baud=9600, rate_Hz=200.0), ask=True)).found.identity["serial"] == 19001
+    assert seen(search(Cable.of("vesc"), ask=True)).found.identity["hardware"] == "60_MK5"
+    drive = seen(search(Cable.of("cia402"), ask=True)).found.identity
     assert drive == {"vendor_id": "0xa11", "serial": 24601}
-    encoders = search(Cable.of("cia406"), ask=True).found.identity
+    encoders = seen(search(Cable.of("cia406"), ask=True)).found.identity
     assert list(encoders) == ["node_3", "node_4", "node_5"]
     assert all(str(each).startswith("serial ") for each in encoders.values())
-    module = search(Cable.of("xbee"), ask=True).found.identity
+    module = seen(search(Cable.of("xbee"), ask=True)).found.identity
     own = {"module_firmware": "100A", "module_hardware": "2E48", "module_serial": "0013A20040522BAA"}
     assert module == {"node": 1, "firmware": "1.4", "battery_mV": 3712, **own}
 
@@ -228,9 +230,9 @@ def test_a_streaming_sensor_answers_and_goes_on_streaming(make: Callable[[], Cab
     cable = make()
     result = search(cable, ask=True)
     assert result.how == "received"
-    assert result.samples > 1000
-    assert result.settings["range_m"] == 0.025
-    assert "serial" in result.found.identity
+    assert seen(result).samples > 1000
+    assert seen(result).settings["range_m"] == 0.025
+    assert "serial" in seen(result).found.identity
     assert len(cable.advance(0.1)) > 1000
 
 
@@ -240,7 +242,7 @@ def test_a_stream_of_distances_alone_is_found_by_asking() -> None:
     assert search(cable).state == "unknown device"
     result = search(cable, ask=True)
     assert result.state == "device"
-    assert result.settings["range_m"] == 0.025
+    assert seen(result).settings["range_m"] == 0.025
 
 
 def test_the_bit_rate_of_a_bus_is_that_at_which_frames_arrive() -> None:
@@ -264,7 +266,7 @@ def test_the_bit_rate_of_a_bus_is_that_at_which_frames_arrive() -> None:
 
     cable = Cable(lambda world: Bus())
     result = search(cable, ask=True)
-    assert result.settings == {"node_id": 5, "bitrate": 250_000}
+    assert seen(result).settings == {"node_id": 5, "bitrate": 250_000}
     sent = b"".join(cable.written)
     assert sent.count(b"O\r") == 1, "the bus is opened once, at the rate that was found"
     assert sent.index(b"S5\rO\r") > sent.index(b"S5\rL\r")
@@ -297,7 +299,7 @@ class Canable(FarEnd):
 def test_an_adapter_without_acknowledgements_and_without_l_is_used_too() -> None:
     adapter = Canable()
     result = search(Cable(lambda world: adapter), ask=True)
-    assert result.settings == {"node_id": 5, "bitrate": 250_000}
+    assert seen(result).settings == {"node_id": 5, "bitrate": 250_000}
     assert adapter.loud == ["S5"], "it takes part on the bus at the bus's rate only"
     assert (adapter.open, adapter.silent) == (False, False)
 
@@ -361,7 +363,7 @@ def test_a_port_that_cannot_be_opened_is_reported() -> None:
 
     cable = Cable(lambda world: SilentDevice())
     result = PortSearch(PORT, DRIVERS, cable.clock, lambda text, share: None, refused).run(ask=True)
-    assert (result.state, result.note, result.trial) == ("in use", "open in another program", None)
+    assert (result.state, result.note, result.evidence) == ("in use", "open in another program", None)
 
 
 def test_the_progress_never_exceeds_the_whole() -> None:

@@ -67,6 +67,10 @@ def test_a_window_holds_exactly_what_lies_in_it(tmp_path_factory, blocks, low, h
         assert np.array_equal(some.time_ns, whole.time_ns[rows])
         assert np.array_equal(some.log_time_ns, whole.log_time_ns[rows])
         assert np.array_equal(some.sequence, whole.sequence[rows])
+        parts = list(part.parts("tacho", rows=3))
+        assert np.array_equal(np.concatenate([each.sequence for each in parts]), some.sequence)
+        assert np.array_equal(np.concatenate([each["revolutions"] for each in parts]), some["revolutions"])
+        assert max(len(each) for each in log.parts("tacho", rows=3)) < 3 + 5
         assert part.raw("encoder") == [chunk for chunk in log.raw("encoder") if start <= chunk.host_ns < end]
         assert part.events == [event for event in log.events if start <= event["time_ns"] < end]
         assert (part.count("tacho"), part.count("raw/encoder")) == (len(some), len(part.raw("encoder")))

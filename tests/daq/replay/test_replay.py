@@ -33,7 +33,6 @@ def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slices and windows so small that every log has many."""
     monkeypatch.setattr(compare, "_SLICE", 64)
     monkeypatch.setattr(stored, "_ROWS", 100)
-    monkeypatch.setattr(stored, "_WINDOW_NS", 20_000_000)
 
 
 # --- compared ----------------------------------------------------------------------------------------------------
