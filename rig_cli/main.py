@@ -25,7 +25,7 @@ from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import EVERY_OPTION
-from rig_cli.signals import dropped, end_at_next_signal, end_without_threads, forget_half_made, interrupt_at_signals
+from rig_cli.signals import dropped, end_at_next_signal, end_without_threads, ignore_unfinished, interrupt_at_signals
 from rig_cli.streams import OutputLost, discard_results, open_streams
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
@@ -179,7 +179,7 @@ def _carried_out(arguments: list[str]) -> int:
 
 
 def _interrupted(by: str) -> int:
-    forget_half_made()
+    ignore_unfinished()
     text = f"interrupted{f' by {by}' if by else ''}"
     notify(f"rig: {text}")
     answer.give_error(text, _INTERRUPTED)

@@ -53,7 +53,7 @@ def note_dropped(fault: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(fault)
 
 
-def forget_half_made() -> None:
+def ignore_unfinished() -> None:
     """Print no errors of objects that an interruption left half made, such as a compiler's, when they are deleted."""
     if sys.unraisablehook is note_dropped:  # in the command, not in a program that calls its functions
         sys.unraisablehook = lambda fault: None

@@ -7,7 +7,7 @@ import queue
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from daq.clock import ClockSeed
 from daq.items import Batch, DeviceEvent
