@@ -146,10 +146,12 @@ class Adapter:
         open: whether the host has opened the bus; otherwise no frame is sent to the host.
         repeated: boot-up messages of CANopen nodes without acknowledgement, by identifier. A node repeats its first
             message until another node, here the adapter, is on the bus.
+        out: frames of nodes, which wait to be passed on.
     """
 
     def __init__(self) -> None:
         self.open: bool = False
+        self.out: list[CanFrame] = []
         self.repeated: dict[int, CanFrame] = {}
         self._records = FrameDecoder()
 
@@ -161,8 +163,9 @@ class Adapter:
                 self.open = kind is AdapterMessage.OPEN
         return found.frames
 
-    def pass_on(self, frames: Iterable[CanFrame]) -> bytes:
-        """Return the records for the host of frames that nodes send; without an open bus keep boot-up messages."""
+    def pass_on(self) -> bytes:
+        """Return the records for the host of the waiting frames; without an open bus keep boot-up messages only."""
+        frames, self.out = self.out, []
         if self.open:
             waiting, self.repeated = self.repeated, {}
             return encode(*waiting.values(), *frames)

@@ -67,7 +67,7 @@ class Commands:
     example: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def identity_in(self, text: str) -> dict[str, str] | None:
-        """Return the identity in an answer; None if it is none."""
+        """Return the identity in the text of an answer; None without one."""
         words = re.sub(r"\\{(\w+)\\}", r"(?P<\1>\\S+)", re.escape(self.answer))
         found = re.fullmatch(words, text)
         return None if found is None else found.groupdict()

@@ -10,14 +10,16 @@ import logging
 from typing import Any
 
 from daq.drivers.canopen import cia301
+from daq.drivers.canopen.changes import restoring
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import DialogueObjects, NodeObjects
 from daq.drivers.contract import Talk
+from daq.drivers.questions import drop_replies
 from daq.errors import DeviceError
 from daq.transports.can_frames import open_bus
 from rig_basics.ignoring import ignoring
 from rig_drivers.cia406 import wire
-from rig_drivers.cia406.report_setup import restoring, set_reports
+from rig_drivers.cia406.report_setup import set_reports
 from rig_drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
 
 _log = logging.getLogger(__name__)
@@ -38,8 +40,7 @@ def open_encoders(device: str, settings: EncoderBus, talk: Talk) -> dict[str, An
             states, or refuses the set-up.
     """
     talk.send(open_bus(settings.bitrate))
-    while not talk.replies.empty():
-        talk.replies.get_nowait()
+    drop_replies(talk)
     identity: dict[str, Any] = {}
     nodes: list[tuple[Encoder, DialogueObjects]] = []
     for encoder in settings.encoders:

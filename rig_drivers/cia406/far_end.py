@@ -14,7 +14,8 @@ import numpy as np
 
 from daq.drivers.can_lines import Adapter
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.node import NMT_RESET, NMT_RESET_COMMUNICATION, NmtState, SdoServer
+from daq.drivers.canopen.changes import PDO_OFF
+from daq.drivers.canopen.node import NMT_STOP, RESETS, Node, Objects
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.world import DeviceClock, World
@@ -22,7 +23,6 @@ from rig_basics.texts import number_of
 from rig_drivers.cia406.node_objects import TURNS, encoder_objects
 from rig_drivers.cia406.settings import Encoder, EncoderBus
 
-_OFF = 1 << 31  # bit of a PDO's identifier
 _LATEST_REPORTS_S = 0.05  # longest pause of the simulation after which reports are sent afterwards, s
 _COLUMNS = {"a": (2, 6), "b": (3, 7), "shaft": (8, 9)}  # of the motion: angle and its rate
 
@@ -57,7 +57,6 @@ class SimulatedEncoder:
         rng: np.random.Generator,
     ) -> None:
         self.name: str = encoder.name
-        self.node: int = encoder.node
         self.dead: bool = False
         self.frozen: bool = False
         self.deaf_to_sync: int = 0
@@ -73,27 +72,27 @@ class SimulatedEncoder:
     def start(self) -> None:
         """Begin with the settings as delivered, and the boot-up message."""
         per_turn = self._settings.counts_per_revolution
-        self._sdo = SdoServer(
-            encoder_objects(self.node, self._serial, per_turn, per_turn * TURNS, 0x4),
+        number = self._encoder.node
+        self._node = Node(
+            number,
+            encoder_objects(number, self._serial, per_turn, per_turn * TURNS, 0x4),
             {(0x6004, 0): lambda: struct.pack("<I", self._position)},
             self._written,
         )
-        self._nmt = NmtState(self.node)
-        self._beat_due_s = 0.0
         self._sync_count = 0
         self._next: int | None = None
         self._syncs = 0
-        self.out.append(CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
+        self.out.append(self._node.boot_up())
 
     @property
-    def objects(self) -> dict[tuple[int, int], tuple[int, str]]:
+    def objects(self) -> Objects:
         """Its objects, which a test may change."""
-        return self._sdo.objects
+        return self._node.sdo.objects
 
     @property
     def fixed(self) -> set[tuple[int, int]]:
         """Objects that it refuses to change, until its next start."""
-        return self._sdo.fixed
+        return self._node.sdo.fixed
 
     def emergency(self, code: int) -> None:
         """Send an emergency with an error code; 0: the error has ended."""
@@ -101,7 +100,7 @@ class SimulatedEncoder:
         self.objects[cia301.ERROR_REGISTER, 0] = (register, "<B")
         self.objects[cia301.PREDEFINED_ERROR_FIELD, 0] = (int(code > 0), "<B")
         self.objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
-        self.out.append(CanFrame(0x080 + self.node, struct.pack("<HB5x", code, register)))
+        self.out.append(self._node.emergency(code, register))
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (0x6200, 0):  # the same timer
@@ -113,28 +112,23 @@ class SimulatedEncoder:
         """Take a frame of the bus."""
         if self.dead:
             return
-        command = self._nmt.follow(frame)
-        if command in (NMT_RESET, NMT_RESET_COMMUNICATION):
+        if self._node.command(frame) in RESETS:
             self.start()
-        elif frame.arbitration_id == 0x600 + self.node and len(frame.data) == 8:
-            self.out.append(CanFrame(0x580 + self.node, self._sdo.answer(frame.data)))
-        elif frame.arbitration_id == self.objects[0x1005, 0][0] & 0x7FF:
-            if self.deaf_to_sync:
-                self.deaf_to_sync -= 1
-            else:
-                self._syncs += 1
+        elif frame.arbitration_id != self.objects[0x1005, 0][0] & 0x7FF:
+            self.out += self._node.answers(frame)
+        else:
+            missed = self.deaf_to_sync > 0
+            self.deaf_to_sync -= missed
+            self._syncs += not missed
 
-    @property
-    def _operational(self) -> bool:
-        return self._nmt.state == cia301.Heartbeat.OPERATIONAL and not self.dead
+    def stop(self) -> None:
+        """Leave network operation."""
+        self.take(CanFrame(cia301.COB_NMT, bytes((NMT_STOP, self._node.number))))
 
     def beat(self, now_s: float) -> None:
         """Send the heartbeat if it is due."""
-        every_s = self.objects.get((0x1017, 0), (0, ""))[0] * 1e-3
-        if self.dead or not every_s or now_s < self._beat_due_s:
-            return
-        self._beat_due_s = max(self._beat_due_s + every_s, now_s)
-        self.out.append(CanFrame(0x700 + self.node, bytes([self._nmt.state])))
+        if not self.dead:
+            self.out += self._node.heartbeat(now_s)
 
     def due(self, motion: MotionInterval) -> list[tuple[float, CanFrame]]:
         """Return the reports of an interval of motion with their instants, s.
@@ -144,13 +138,13 @@ class SimulatedEncoder:
         syncs, self._syncs = self._syncs, 0
         out: list[tuple[float, CanFrame]] = []
         own = self._own_instants(motion)
-        if not self._operational:
+        if self.dead or not self._node.operational:
             return out
         for number, by_timer in ((0, own), (1, list[float]())):
             if (0x1800 + number, 1) not in self.objects:
                 continue
             identifier, kind = (self.objects[0x1800 + number, sub][0] for sub in (1, 2))
-            if identifier & _OFF:
+            if identifier & PDO_OFF:
                 continue
             numbers = range(self._sync_count + 1, self._sync_count + syncs + 1)
             at_syncs = [float(motion.time_s[-1]) for i in numbers if i % max(1, kind) == 0]
@@ -180,7 +174,7 @@ class SimulatedEncoder:
         return CanFrame(identifier & 0x7FF, data)
 
     def _mapped(self, entry: int) -> bytes:
-        answer = self._sdo.answer(struct.pack("<BHBI", 0x40, entry >> 16, entry >> 8 & 0xFF, 0))
+        answer = self._node.sdo.answer(struct.pack("<BHBI", 0x40, entry >> 16, entry >> 8 & 0xFF, 0))
         return answer[4 : 4 + (entry & 0xFF) // 8]
 
     def _read(self, motion: MotionInterval, at_s: float) -> int:
@@ -250,10 +244,10 @@ class SimulatedEncoders(FarEnd):
         return self._take()
 
     def _take(self) -> bytes:
-        frames = [frame for encoder in self.encoders for frame in encoder.out]
         for encoder in self.encoders:
+            self._adapter.out += encoder.out
             encoder.out.clear()
-        return self._adapter.pass_on(frames)
+        return self._adapter.pass_on()
 
     def step(self, now_s: float) -> bytes:
         """See FarEnd: heartbeats that are due."""
@@ -285,8 +279,7 @@ class SimulatedEncoders(FarEnd):
             case "restart":
                 self._of_number(number).start()
             case "stopped":
-                encoder = self._of_number(number)
-                encoder.take(CanFrame(0, bytes((2, encoder.node))))
+                self._of_number(number).stop()
             case "missed":
                 self.encoders[0].deaf_to_sync = number
             case "emergency":

@@ -8,66 +8,20 @@ limit, such as 6030h (16 bits) + 6004h (`a_offset`, bytes, in the identity); oth
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Generator
 
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.objects import NodeObjects
-from daq.errors import DeviceError, LinkLost
-from rig_basics.ignoring import ignoring
+from daq.drivers.canopen.changes import PDO_NO_REMOTE, PDO_OFF, Changes
+from daq.errors import DeviceError
 from rig_basics.texts import number_of
 from rig_drivers.cia406 import wire
 from rig_drivers.cia406.settings import Encoder, EncoderBus
 
 _log = logging.getLogger(__name__)
 
-_OFF, _NO_REMOTE = 1 << 31, 1 << 30  # bits of a PDO's identifier: not used; cannot be requested
 _OTHER_REPORTS = (1, 2, 3)  # TPDO2 … 4, after TPDO1
 _MAX_ENTRIES = 8
 _REPORT_BITS = 64
-
-
-class Changes:
-    """Objects of an encoder, whose written values are kept to be restored.
-
-    Args:
-        objects: the objects.
-    """
-
-    def __init__(self, objects: NodeObjects) -> None:
-        self._objects = objects
-        self._before: list[tuple[int, int, int, int]] = []  # index, sub-index, value, size, in the order of the writes
-
-    def read(self, index: int, sub: int) -> int | None:
-        """See NodeObjects."""
-        return self._objects.read(index, sub)
-
-    def write(self, index: int, sub: int, value: int, size: int) -> None:
-        """See NodeObjects. An object that has the value already is not written."""
-        before = self._objects.read(index, sub)
-        if before == value:
-            return
-        self._objects.write(index, sub, value, size)
-        if before is not None:
-            self._before.append((index, sub, before, size))
-
-    def undo(self) -> None:
-        """Restore the objects, the newest write first, as far as the encoder accepts it."""
-        for index, sub, value, size in reversed(self._before):
-            with ignoring(_log, f"restoring {index:04X}h sub {sub}", DeviceError, LinkLost):
-                self._objects.write(index, sub, value, size)
-
-
-@contextlib.contextmanager
-def restoring(objects: NodeObjects) -> Generator[Changes]:
-    """Context in which an encoder is changed; after an error it is restored."""
-    changes = Changes(objects)
-    try:
-        yield changes
-    except (DeviceError, LinkLost):
-        changes.undo()
-        raise
 
 
 def set_reports(settings: EncoderBus, encoder: Encoder, objects: Changes) -> int:
@@ -78,12 +32,12 @@ def set_reports(settings: EncoderBus, encoder: Encoder, objects: Changes) -> int
     """
     for number in _OTHER_REPORTS:  # an encoder's second report is sent at each SYNC by default
         own = objects.read(cia301.TPDO1 + number, 1)
-        if own is not None and not own & _OFF:
-            objects.write(cia301.TPDO1 + number, 1, own | _OFF, 4)
+        if own is not None and not own & PDO_OFF:
+            objects.write(cia301.TPDO1 + number, 1, own | PDO_OFF, 4)
     own = objects.read(cia301.TPDO1, 1)
-    remote = _NO_REMOTE & (own or 0)
+    remote = PDO_NO_REMOTE & (own or 0)
     identifier = remote | cia301.cob_tpdo(1, encoder.node)
-    objects.write(cia301.TPDO1, 1, _OFF | identifier, 4)
+    objects.write(cia301.TPDO1, 1, PDO_OFF | identifier, 4)
     _set_kind(settings, objects)
     if not settings.sync:
         _set_timer(settings, objects)
@@ -121,13 +75,11 @@ def _set_timer(settings: EncoderBus, objects: Changes) -> None:
 
 def _set_mapping(objects: Changes) -> int:
     """Map the position alone. A mapping that cannot be changed is accepted if it contains the whole position."""
-    mapped = _mapped(objects)
+    mapped = [entry or 0 for entry in (objects.mapped(cia301.TPDO1_MAPPING, _MAX_ENTRIES) or [])[:_MAX_ENTRIES]]
     if mapped == [wire.POSITION_MAPPED]:
         return 0
     try:
-        objects.write(cia301.TPDO1_MAPPING, 0, 0, 1)
-        objects.write(cia301.TPDO1_MAPPING, 1, wire.POSITION_MAPPED, 4)
-        objects.write(cia301.TPDO1_MAPPING, 0, 1, 1)
+        objects.map_entries(cia301.TPDO1_MAPPING, [wire.POSITION_MAPPED])
     except DeviceError as error:
         if (offset := _offset(mapped)) is not None:
             _log.info("mapping not accepted, so that of the encoder is used: %s", error)
@@ -141,12 +93,6 @@ def _set_mapping(objects: Changes) -> int:
             "whole byte. Map it with the maker's tool"
         ) from error
     return 0
-
-
-def _mapped(objects: Changes) -> list[int]:
-    count = objects.read(cia301.TPDO1_MAPPING, 0) or 0
-    entries = (objects.read(cia301.TPDO1_MAPPING, sub) for sub in range(1, min(count, _MAX_ENTRIES) + 1))
-    return [entry or 0 for entry in entries]
 
 
 def _offset(mapped: list[int]) -> int | None:

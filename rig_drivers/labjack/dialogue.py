@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import logging
 import math
-import queue
 import struct
 from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import TRIES, ask
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 from rig_drivers.labjack import wire
@@ -33,7 +33,6 @@ _log = logging.getLogger(__name__)
 
 ANSWER_S = 1.0
 """Wall time within which the device answers a command, s."""
-_TRIES = 3
 _SINGLE_ENDED = 199
 
 
@@ -50,8 +49,6 @@ class Commands:
 
     def __init__(self, talk: Talk, place: str) -> None:
         self._talk, self._place, self._number = talk, place, 0
-        while not talk.replies.empty():
-            talk.replies.get_nowait()
 
     def ask(self, parts: Sequence[bytes]) -> bytes:
         """Send the parts of a request, again if no answer comes, and return the registers read.
@@ -69,18 +66,16 @@ class Commands:
 
     def _answer(self, parts: Sequence[bytes]) -> wire.Message:
         self._number = (self._number + 1) % wire.FIRST_STREAM_ID
-        for _ in range(_TRIES):
-            self._talk.send(wire.request(self._number, parts))
-            try:
-                while True:
-                    text = self._talk.replies.get(timeout=ANSWER_S)
-                    (message,) = wire.MessageDecoder().feed(bytes.fromhex(text)).messages
-                    if message.number == self._number:
-                        return message
-            except queue.Empty:  # usual: the connection is slow
-                continue
+
+        def found_in(reply: str) -> wire.Message | None:
+            (message,) = wire.MessageDecoder().feed(bytes.fromhex(reply)).messages
+            return message if message.number == self._number else None
+
+        message = ask(self._talk, wire.request(self._number, parts), found_in, ANSWER_S)
+        if message is not None:
+            return message
         raise DeviceError(
-            f"{self._place}: no answer in {_TRIES} tries. Is it a LabJack T4 or T7, and is the port that of its "
+            f"{self._place}: no answer in {TRIES} tries. Is it a LabJack T4 or T7, and is the port that of its "
             "commands (502)?"
         )
 

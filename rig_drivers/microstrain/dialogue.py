@@ -6,11 +6,10 @@ the rig file; nothing is written to its EEPROM.
 
 from __future__ import annotations
 
-import queue
-from collections.abc import Callable
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import TRIES, ask
 from daq.errors import DeviceError
 from rig_drivers.microstrain import wire
 from rig_drivers.microstrain.answers import Answer, beacon_of
@@ -18,7 +17,6 @@ from rig_drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
 from rig_drivers.microstrain.settings import MicroStrainNode
 from rig_drivers.microstrain.stream import BEACON_LAG
 
-_TRIES, _ANSWER_S = 3, 0.5  # seconds
 _NODE_TRIES = 5  # of a command to a node, which the radio may lose
 _IDLE_S = 10.0  # s until a node is idle; unverified
 _SUCCESS = 0
@@ -84,7 +82,7 @@ class _Dialogue:
         """Ping the base station."""
         if self._ask(BASE_ADDRESS, wire.PING) is None:
             raise DeviceError(
-                f"{self._device} on {self._settings.port}: no base station answers a ping in {_TRIES} tries. Check "
+                f"{self._device} on {self._settings.port}: no base station answers a ping in {TRIES} tries. Check "
                 f"that it has power, baud = {self._settings.baud} (usual: 921600 by USB, 115200 by RS-232), and aspp = "
                 f"{self._settings.aspp} (older base stations: 1, newer ones: 3)"
             )
@@ -117,10 +115,13 @@ class _Dialogue:
         argument = wire.node_bytes(self._settings.aspp, self._settings.node_address)
         request = wire.request(self._settings.aspp, BASE_ADDRESS, wire.SET_TO_IDLE, argument)
         expected = wire.SET_TO_IDLE.to_bytes(2, "big") + argument
-        self._drop_replies()
-        self._talk.send(request)
-        found = self._wait(lambda a: a.kind == wire.BASE_SUCCESS and a.payload[:-1] == expected, _IDLE_S)
-        return found is not None and found.payload[-1] == _SUCCESS
+
+        def found_in(reply: str) -> int | None:
+            answer = Answer.of_text(reply)
+            fits = answer.kind == wire.BASE_SUCCESS and answer.payload[:-1] == expected
+            return answer.payload[-1] if fits else None
+
+        return ask(self._talk, request, found_in, _IDLE_S, tries=1) == _SUCCESS
 
     def start(self) -> None:
         """Start synchronized sampling; the node waits for the beacon."""
@@ -167,34 +168,18 @@ class _Dialogue:
         kinds = _BASE if to_base else _NODE
         status = command == wire.BEACON_STATUS
         start = command.to_bytes(2, "big") + data
-        self._drop_replies()
-        for _ in range(_TRIES if to_base else _NODE_TRIES):
-            self._talk.send(wire.request(self._settings.aspp, address, command, data))
-            answer = self._wait(lambda a: (a.address, a.payload[: len(start)]) == (address, start) and a.kind in kinds)
-            if answer is None:
-                continue
-            if answer.kind in (wire.BASE_ERROR, wire.NODE_ERROR) and not status:
-                who = "the base station" if to_base else f"node {address}"
-                raise DeviceError(
-                    f"{self._device}: {who} refuses command {command:04X}h with code {answer.payload[-1]}: "
-                    f"{wire.ERRORS.get(answer.payload[-1], 'unknown')}"
-                )
-            return answer
-        return None
 
-    def _wait(self, fits: Callable[[Answer], bool], seconds: float = _ANSWER_S) -> Answer | None:
-        """Return the first fitting answer within a time, s; None without one."""
-        clock = self._talk.clock
-        deadline = clock.wall_s() + seconds
-        while (left := deadline - clock.wall_s()) > 0:
-            try:
-                answer = Answer.of_text(self._talk.replies.get(timeout=left))
-            except queue.Empty:  # usual: no answer in time
-                break
-            if fits(answer):
-                return answer
-        return None
+        def found_in(reply: str) -> Answer | None:
+            answer = Answer.of_text(reply)
+            fits = (answer.address, answer.payload[: len(start)]) == (address, start) and answer.kind in kinds
+            return answer if fits else None
 
-    def _drop_replies(self) -> None:
-        while not self._talk.replies.empty():
-            self._talk.replies.get_nowait()
+        request = wire.request(self._settings.aspp, address, command, data)
+        answer = ask(self._talk, request, found_in, tries=TRIES if to_base else _NODE_TRIES)
+        if answer is not None and answer.kind in (wire.BASE_ERROR, wire.NODE_ERROR) and not status:
+            who = "the base station" if to_base else f"node {address}"
+            raise DeviceError(
+                f"{self._device}: {who} refuses command {command:04X}h with code {answer.payload[-1]}: "
+                f"{wire.ERRORS.get(answer.payload[-1], 'unknown')}"
+            )
+        return answer

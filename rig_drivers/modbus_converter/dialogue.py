@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import ask
 from daq.errors import DeviceError
 from rig_basics.texts import number_of
 from rig_drivers.modbus_converter import wire
@@ -28,19 +28,16 @@ def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, An
     Raises:
         DeviceError: the converter does not answer, or refuses the read.
     """
-    while not talk.replies.empty():
-        talk.replies.get_nowait()
     register, count = settings.blocks[0]
     request = wire.encode(wire.Request(settings.address, settings.registers.read_function, register, count))
     before = talk.bytes_in
-    for _ in range(_TRIES):
-        talk.send(request)
-        try:
-            reply = talk.replies.get(timeout=2 * settings.answer_s)  # the next request must not meet a late answer
-        except queue.Empty:  # usual: the first answer may be lost
-            continue
+
+    def found_in(reply: str) -> bool:
         if not is_read(reply):
             raise DeviceError(f'{device} on {settings.port}: {reply}. Is the register table "{settings.table}" right?')
+        return True
+
+    if ask(talk, request, found_in, 2 * settings.answer_s, _TRIES):  # the next request must not meet a late answer
         talk.clock.wait(settings.answer_s)  # the converter's pause before the first request of `control`
         return {"table": settings.table, "address": settings.address}
     heard = talk.bytes_in - before

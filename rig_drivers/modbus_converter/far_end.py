@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from daq.drivers.simulated import FarEnd, FaultKind
+from typing_extensions import override
+
+from daq.drivers.simulated import FaultKind
+from daq.drivers.simulated_motor import COAST_RPM_S, QUICK_RPM_S, SimulatedMotor
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
@@ -15,7 +18,6 @@ from rig_drivers.modbus_converter.settings import ModbusConverter
 
 _ANSWER_S = 0.005  # from the request to the answer, s
 _SILENCE_S = 0.02  # s after which received bytes are the beginning of another frame
-_QUICK_RPM_S, _COAST_RPM_S = 4000.0, 30.0
 _MOST_REGISTERS = 16
 _NO_FUNCTION, _NO_REGISTER, _BAD_VALUE, _FAILED = 1, 2, 3, 4
 """Exception codes."""
@@ -116,7 +118,7 @@ def _status(r: Registers, *, running: bool, reverse: bool, fault: bool) -> int:
     return word
 
 
-class SimulatedConverter(FarEnd):
+class SimulatedConverter(SimulatedMotor):
     """Converter with an induction motor that turns the rotor as commanded; the rotor is slower than the field.
 
     Args:
@@ -126,14 +128,13 @@ class SimulatedConverter(FarEnd):
 
     Attributes:
         collisions: number of requests that came before the last answer had gone out.
-        faults: codes of the faults so far.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        **SimulatedMotor.fault_kinds,
         "fault": FaultKind(
             "it has a fault: no torque, until it is reset", 3, end=None, meaning="the fault code", limits=(1, 255)
         ),
-        "restart": FaultKind("it starts again at once", end=None),
         "mute": FaultKind("it does not answer, and goes on executing requests"),
         "deaf": FaultKind("no request reaches it"),
         "late": FaultKind("it answers late", 0.15, meaning="by this time, s", limits=(0, 10)),
@@ -146,30 +147,23 @@ class SimulatedConverter(FarEnd):
             meaning="ratio to it",
             limits=(0.01, 1e3),
         ),
-        "reported share": FaultKind(
-            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
-        ),
-        "speed": FaultKind(
-            "it runs away while it is in operation", 1000, end=None, meaning="to this speed, rpm", limits=(-5000, 5000)
-        ),
     }
 
     def __init__(self, settings: ModbusConverter, motion: SimulatedMotion, slip: float = 0.0) -> None:
-        self._settings, self._motion, self._slip = settings, motion, slip
+        super().__init__(motion)
+        self._settings, self._slip = settings, slip
         self.collisions: int = 0
-        self.faults: list[int] = []
-        self._now_s, self._received_s = 0.0, -1.0
-        self._faults = {name: kind.end for name, kind in self.fault_kinds.items() if kind.end is not None}
+        self._received_s = -1.0
         self._server = RegisterServer(settings, {}, self._written)
-        self._start()
+        self._restart()
 
     @classmethod
     def of(cls, device: str, settings: ModbusConverter, world: World) -> SimulatedConverter:
         """Make the converter of a simulated rig."""
         return cls(settings, world.motion, world.virtual.drive.slip)
 
-    def _start(self) -> None:
-        """Set the state after power-up."""
+    @override
+    def _restart(self) -> None:
         self._server.words.clear()
         self._server.words.update(initial_words(self._settings))
         self._server.silence()
@@ -177,47 +171,31 @@ class SimulatedConverter(FarEnd):
         self.state: str = "off"  # or "run", "stop" along the ramp, "quick" stop
         self._direction, self._fault, self._timed_out = 1, 0, False
         self._heard_s: float | None = None
-        self._runaway_rpm: float | None = None
+        self._runaway_rpm = None
 
+    @override
     def facts(self) -> dict[str, Any]:
-        """See FarEnd."""
-        return {
-            "speed_rpm": self.speed_rpm,
-            "drive": self.state,
-            "emergencies": self.faults,
-            "watchdog_ms": self.watchdog_ms,
-            "collisions": self.collisions,
-            "requests": self._server.requests,
-        }
+        more = {"drive": self.state, "collisions": self.collisions, "requests": self._server.requests}
+        return {**super().facts(), **more}
 
+    @override
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
-        if what in self._faults:
-            self._faults[what] = float(value)
-        elif what == "fault":
+        if what == "fault":
             self._trip(int(value))
-        elif what == "restart":
-            self._start()
-        elif what == "speed":
-            self._runaway_rpm = float(value)
         else:
             super().fail(what, value)
 
     def _trip(self, code: int) -> None:
         self._fault, self.state = code, "off"
-        self.faults.append(code)
+        self.emergencies.append(code)
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. Without supply the torque is 0; after power-up the registers have their initial values."""
         super().power(on, now_s)
-        self._start()
+        self._restart()
 
     @property
-    def speed_rpm(self) -> float:
-        """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / RPM
-
-    @property
+    @override
     def watchdog_ms(self) -> int:
         """Communication timeout, ms; 0 if it is off or cannot be set."""
         r = self._settings.registers
@@ -227,7 +205,7 @@ class SimulatedConverter(FarEnd):
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the host; the answer follows with a later step."""
-        self._now_s = max(self._now_s, now_s)
+        self._passed_s(now_s)
         if self._now_s - self._received_s > _SILENCE_S:
             self._server.silence()
         self._received_s = self._now_s
@@ -255,7 +233,7 @@ class SimulatedConverter(FarEnd):
         words[r.status] = _status(r, running=running, reverse=self._direction < 0, fault=bool(self._fault))
         if r.fault_code is not None:
             words[r.fault_code] = self._fault
-        reported_rpm = self.speed_rpm * self._faults["reported share"] if running else 0.0
+        reported_rpm = self._reported_rpm if running else 0.0
         field_Hz = reported_rpm / (1 - self._slip) * s.gear * s.pole_pairs / 60
         shown = {"Hz": field_Hz, "rpm": 60 * field_Hz / s.pole_pairs, "%": 100 * field_Hz / s.max_Hz}[r.speed_unit]
         counts = round(shown / r.speed_step)
@@ -290,9 +268,9 @@ class SimulatedConverter(FarEnd):
 
     def step(self, now_s: float) -> bytes:
         """Update watchdog, ramps and state up to `now_s`; return the answers that are due."""
-        self._now_s = max(self._now_s, now_s)
+        self._passed_s(now_s)
         if not self.line_alive:
-            self._drive(0.0, _COAST_RPM_S)
+            self._drive(0.0, COAST_RPM_S)
             return b""
         self._watch()
         s, words = self._settings, self._server.words
@@ -309,16 +287,12 @@ class SimulatedConverter(FarEnd):
             case "stop":
                 self._drive(0.0, ramp)
             case "quick":
-                self._drive(0.0, _QUICK_RPM_S, braking=True)
+                self._drive(0.0, QUICK_RPM_S, braking=True)
             case _:
-                self._drive(0.0, _COAST_RPM_S)
+                self._drive(0.0, COAST_RPM_S)
         due = [answer for due_s, answer in self._answers if due_s <= self._now_s]
         self._answers = [(due_s, answer) for due_s, answer in self._answers if due_s > self._now_s]
         return b"".join(due)
-
-    def _drive(self, rpm: float, ramp_rpm_s: float, *, braking: bool = False) -> None:
-        self._motion.target_rad_s, self._motion.ramp_rad_s2 = rpm * RPM, ramp_rpm_s * RPM
-        self._motion.braking = braking
 
     def _reference_rpm(self) -> float:
         """Speed of the field at the rotor for the reference, rpm."""

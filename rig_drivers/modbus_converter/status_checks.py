@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl
+from daq.drivers.fault_checks import controller_checks
 from daq.items import DeviceEvent
 from rig_drivers.modbus_converter import states
 from rig_drivers.modbus_converter.settings import ModbusConverter
@@ -23,14 +24,7 @@ def converter_checks(
         control: command of the converter; None if its bytes are only received.
         events: events of the converter during the check.
     """
-    out: Checks = {}
-    if control is not None:
-        state = control.state
-        note = "" if state != states.FAULT else states.fault_text(control.fault_code() or 0)
-        out["state"] = DeviceCheck(state, "no fault", state not in (states.FAULT, states.UNKNOWN), note)
-    emergencies = [event for event in events if event.kind == "emergency"]
-    faults = [e.text for e in emergencies if e.facts["error_code"] or e.facts.get("restart")]
-    out["emergencies"] = DeviceCheck(", ".join(faults) or "none", "none", not faults)
+    out = controller_checks(control, events, states.fault_text, (states.FAULT, states.UNKNOWN))
     refused = [event.text for event in events if event.kind == "refused"]
     note = "compare the register table with its manual" if refused else ""
     out["refused_requests"] = DeviceCheck(len(refused), 0, not refused, note)

@@ -9,24 +9,23 @@ import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import Adapter
-from daq.drivers.simulated import FarEnd, FaultKind
-from daq.transports.can_frames import CanFrame, encode
+from daq.drivers.simulated import FaultKind
+from daq.drivers.simulated_motor import COAST_RPM_S, LOOP_RPM_S, Periodic, SimulatedMotor
+from daq.transports.can_frames import CanFrame
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
-from rig_basics.units import RPM
 from rig_drivers.odrive.settings import Odrive
 
-_LOOP_RPM_S = 2000.0  # acceleration of the speed loop at the current limit: faster than any ramp of the host
-_COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _BOOT_S = 0.3  # time from power-up to the first state of the axis
-_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its reports afterwards
 _SERIAL = bytes.fromhex("3D1E4C6A2B39")
 _UNDEFINED, _IDLE, _CLOSED_LOOP = 0, 1, 8
 _ERROR_BITS = {"0.5": {"watchdog": 1 << 11, "estop": 1 << 14}, "0.6": {"watchdog": 1 << 24, "estop": 1 << 25}}
 
 
-class SimulatedOdrive(FarEnd):
+class SimulatedOdrive(SimulatedMotor):
     """Axis that turns the rotor as commanded, and removes the torque by itself without messages of the host.
 
     Args:
@@ -35,11 +34,11 @@ class SimulatedOdrive(FarEnd):
         watchdog_s: timeout of the watchdog, s; None: that of the settings; 0: the watchdog is off.
 
     Attributes:
-        errors: error codes of the axis so far.
-        frames_sent: number of CAN frames sent to the host.
+        error: error code of the axis.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        **SimulatedMotor.fault_kinds,
         "fault": FaultKind(
             "it has an error: no torque until the error is cleared",
             0x40,
@@ -47,19 +46,8 @@ class SimulatedOdrive(FarEnd):
             meaning="the error bits of the axis",
             limits=(1, 0x7FFF_FFFF),
         ),
-        "restart": FaultKind("it starts again at once", end=None),
         "silent reports": FaultKind("it sends no encoder estimates; its heartbeat continues"),
         "silent heartbeat": FaultKind("it sends no heartbeat; its encoder estimates continue"),
-        "reported share": FaultKind(
-            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
-        ),
-        "speed": FaultKind(
-            "it runs away until its torque is removed",
-            1000,
-            end=None,
-            meaning="to this speed, rpm",
-            limits=(-10_000, 10_000),
-        ),
         "time-out": FaultKind(
             "its watchdog is not set as in the rig file", 3.0, end=1, meaning="ratio to it", limits=(0.01, 1e3)
         ),
@@ -68,18 +56,14 @@ class SimulatedOdrive(FarEnd):
     }
 
     def __init__(self, settings: Odrive, motion: SimulatedMotion, *, watchdog_s: float | None = None) -> None:
-        self._settings, self._motion = settings, motion
+        super().__init__(motion)
+        self._settings = settings
         self._watchdog_s = settings.watchdog_s if watchdog_s is None else watchdog_s
         self._bits = _ERROR_BITS[settings.firmware]
         self.error: int = 0
-        self.frames_sent: int = 0
-        self.errors: list[int] = []
         self._adapter = Adapter()
-        self._without_supply = self._deaf = self._second_host = False
-        self._sends = {"reports": True, "heartbeat": True}
-        self._reported_share = self._watchdog_ratio = 1.0
-        self._now_s = self._beat_due_s = self._estimates_due_s = 0.0
-        self._out: list[CanFrame] = []
+        self._without_supply = False
+        self._beats, self._estimates = Periodic(), Periodic()
         self._start(0.0, booted_s=0.0)
 
     @classmethod
@@ -93,48 +77,30 @@ class SimulatedOdrive(FarEnd):
         self._ready_s, self._heard_s = now_s + booted_s, now_s
         self._turns = 0.0
         self._input, self._modes = 0.0, (3, 1)  # position control: the stored default
-        self._runaway_rpm: float | None = None
+        self._runaway_rpm = None
         self._detail = 0
 
+    @override
     def facts(self) -> dict[str, Any]:
-        """See FarEnd."""
-        return {
-            "speed_rpm": self.speed_rpm,
-            "drive": "FAULT" if self.error else {0: "UNDEFINED", 1: "IDLE", 8: "CLOSED LOOP"}[self.state],
-            "can_frames": self.frames_sent,
-            "emergencies": self.errors,
-            "watchdog_ms": round(self._watchdog_s * 1e3),
-        }
+        name = "FAULT" if self.error else {0: "UNDEFINED", 1: "IDLE", 8: "CLOSED LOOP"}[self.state]
+        return {**super().facts(), "drive": name}
 
     @property
-    def speed_rpm(self) -> float:
-        """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / RPM
+    @override
+    def watchdog_ms(self) -> int:
+        return round(self._watchdog_s * 1e3)
 
+    @override
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
-        match what:
-            case "fault":
-                self._detail = 0x0010_0000
-                self._trip(int(value))
-            case "restart":
-                self._start(self._now_s)
-            case "silent reports":
-                self._sends["reports"] = not value
-            case "silent heartbeat":
-                self._sends["heartbeat"] = not value
-            case "reported share":
-                self._reported_share = float(value)
-            case "speed":
-                self._runaway_rpm = float(value)
-            case "time-out":
-                self._watchdog_ratio = float(value)
-            case "deaf":
-                self._deaf = bool(value)
-            case "second host":
-                self._second_host = bool(value)
-            case _:
-                super().fail(what, value)
+        if what == "fault":
+            self._detail = 0x0010_0000
+            self._trip(int(value))
+        else:
+            super().fail(what, value)
+
+    @override
+    def _restart(self) -> None:
+        self._start(self._now_s)
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the controller; the adapter is supplied by the host and continues."""
@@ -144,7 +110,7 @@ class SimulatedOdrive(FarEnd):
     def _trip(self, bits: int) -> None:
         """Set error bits; an axis with an error has no torque."""
         self.error |= bits
-        self.errors.append(self.error)
+        self.emergencies.append(self.error)
         if self.state != _UNDEFINED:
             self.state = _IDLE
 
@@ -152,22 +118,15 @@ class SimulatedOdrive(FarEnd):
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """See FarEnd."""
-        self._now_s = max(self._now_s, now_s)
+        self._passed_s(now_s)
         frames = self._adapter.receive(data)
-        if not (self._without_supply or self._deaf):
+        if not (self._without_supply or self._faults["deaf"]):
             for frame in frames:
                 self._hear(frame)
-        return self._take()
-
-    def _take(self) -> bytes:
-        frames, self._out = self._out, []
-        if not self._adapter.open:
-            return b""
-        self.frames_sent += len(frames)
-        return encode(*frames)
+        return self._adapter.pass_on()
 
     def _emit(self, command: int, data: bytes) -> None:
-        self._out.append(CanFrame(self._settings.node_id * 32 + command, data))
+        self._adapter.out.append(CanFrame(self._settings.node_id * 32 + command, data))
 
     def _hear(self, frame: CanFrame) -> None:
         if frame.extended or frame.arbitration_id // 32 != self._settings.node_id:
@@ -213,44 +172,39 @@ class SimulatedOdrive(FarEnd):
 
     def step(self, now_s: float) -> bytes:
         """Update watchdog and motor up to `now_s`; return the frames that are due."""
-        passed, self._now_s = max(0.0, now_s - self._now_s), max(self._now_s, now_s)
-        if self._second_host and now_s >= self._beat_due_s:  # once in each heartbeat
-            self._out.append(CanFrame(self._settings.node_id * 32 + 13, struct.pack("<ff", 1.5, 0.0)))
+        passed = self._passed_s(now_s)
         self._turns += self.speed_rpm / 60 * self._settings.gear_ratio * passed
         if not self._without_supply:
             self._watch()
             self._report()
         self._turn()
-        return self._take()
+        return self._adapter.pass_on()
 
     def _watch(self) -> None:
         if self.state == _UNDEFINED and self._now_s >= self._ready_s:
             self.state = _IDLE
-        late = self._now_s - self._heard_s > self._watchdog_s * self._watchdog_ratio
+        late = self._now_s - self._heard_s > self._watchdog_s * self._faults["time-out"]
         if self._watchdog_s and late and not self.error & self._bits["watchdog"]:
             self._trip(self._bits["watchdog"])
 
     def _turn(self) -> None:
-        motion, driven = self._motion, self.state == _CLOSED_LOOP and not self._without_supply
+        driven = self.state == _CLOSED_LOOP and not self._without_supply
         if not driven:
             self._runaway_rpm = None
         in_mode = self._modes == (2, 1)  # in another mode the rotor is held
         rpm = self._input * 60 / self._settings.gear_ratio if in_mode else 0.0
         rpm = rpm if self._runaway_rpm is None else self._runaway_rpm
-        motion.target_rad_s = rpm * RPM if driven else 0.0
-        motion.ramp_rad_s2 = (_LOOP_RPM_S if driven else _COAST_RPM_S) * RPM
-        motion.braking = False
+        self._drive(rpm if driven else 0.0, LOOP_RPM_S if driven else COAST_RPM_S)
 
     def _report(self) -> None:
-        while self._now_s >= self._beat_due_s:
-            self._beat_due_s = max(self._beat_due_s + self._settings.heartbeat_ms * 1e-3, self._now_s - _MAX_LATE_S)
-            if self._sends["heartbeat"]:
+        for _ in range(self._beats.due(self._now_s, self._settings.heartbeat_ms * 1e-3)):
+            if self._faults["second host"]:  # once in each heartbeat
+                self._emit(13, struct.pack("<ff", 1.5, 0.0))
+            if not self._faults["silent heartbeat"]:
                 error = self.error | (self.state == _UNDEFINED and self._settings.firmware == "0.6")
                 flags = bytes([self._detail != 0 and self._settings.firmware == "0.5", 0, 0])
                 self._emit(1, error.to_bytes(4, "little") + bytes([self.state]) + flags)
-        while self._now_s >= self._estimates_due_s:
-            period_s = self._settings.estimates_ms * 1e-3
-            self._estimates_due_s = max(self._estimates_due_s + period_s, self._now_s - _MAX_LATE_S)
-            if self._sends["reports"]:
-                speed = self.speed_rpm * self._reported_share / 60 * self._settings.gear_ratio
+        for _ in range(self._estimates.due(self._now_s, self._settings.estimates_ms * 1e-3)):
+            if not self._faults["silent reports"]:
+                speed = self._reported_rpm / 60 * self._settings.gear_ratio
                 self._emit(9, struct.pack("<ff", self._turns, speed))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import ask
 from daq.errors import DeviceError
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
@@ -26,22 +26,20 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
     """
     dialect = wire.DIALECTS[settings.dialect]
     request = dialect.request(settings.output)
-    while not talk.replies.empty():
-        talk.replies.get_nowait()
     refusal = other = ""
-    for _ in range(_TRIES):
-        talk.send(request)
-        try:
-            answer = talk.replies.get(timeout=ANSWER_S).encode("latin-1")
-        except queue.Empty:  # usual: the first answer may be lost
-            continue
+
+    def found_in(reply: str) -> wire.Reading | None:
+        nonlocal refusal, other
+        answer = reply.encode("latin-1")
         found = dialect.parse(answer, settings.output)
-        if isinstance(found, wire.Reading):
-            return {"dialect": settings.dialect, "output": settings.output}
         if isinstance(found, wire.Refusal):  # the first request may have been joined to the rest of an earlier one
             refusal = f"got {answer!r}: {found.why}"
         elif found is None:
             other = repr(answer)
+        return found if isinstance(found, wire.Reading) else None
+
+    if ask(talk, request, found_in, ANSWER_S, _TRIES) is not None:
+        return {"dialect": settings.dialect, "output": settings.output}
     if refusal:
         raise DeviceError(
             f"{device} on {settings.port}: expected a value for {request!r}, {refusal}. Check "

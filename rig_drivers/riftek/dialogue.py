@@ -9,18 +9,15 @@ bytes of a word are written in the order whose intermediate value is allowed.
 
 from __future__ import annotations
 
-import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
 from daq.drivers.displacement import compare_range
+from daq.drivers.questions import ANSWER_S, TRIES, ask
 from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
 from rig_drivers.riftek import wire
 from rig_drivers.riftek.settings import RiftekLaser
-
-_ANSWER_S = 1.0  # seconds
-_TRIES = 3
 
 
 def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
@@ -76,7 +73,7 @@ class _Dialogue:
     def identify(self) -> wire.SensorIdentity:
         """Return the sensor's identification after two equal answers."""
         answers = [self._request(wire.IDENTIFY)]
-        while len(answers) <= _TRIES:
+        while len(answers) <= TRIES:
             answers.append(self._request(wire.IDENTIFY))
             if answers[-1] == answers[-2]:
                 return wire.parse_info(answers[-1])
@@ -92,7 +89,7 @@ class _Dialogue:
     def write(self, parameter: int, value: int, what: str) -> None:
         """Write a parameter of one byte and read it back."""
         found: list[int] = []
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             self._talk.send(wire.request(self._settings.address, wire.WRITE, bytes([parameter, value])))
             found.append(self.read(parameter))
             if found[-1] == value:
@@ -114,17 +111,14 @@ class _Dialogue:
 
     def _request(self, code: int, message: bytes = b"") -> bytes:
         """Repeat a request until it is answered; return the answer."""
-        replies, settings = self._talk.replies, self._settings
-        for _ in range(_TRIES):
-            while not replies.empty():
-                replies.get_nowait()
-            self._talk.send(wire.request(settings.address, code, message))
-            try:
-                return bytes.fromhex(replies.get(timeout=_ANSWER_S / _TRIES))
-            except queue.Empty:  # usual: no answer in time, the request is repeated
-                continue
+        settings = self._settings
+        request = wire.request(settings.address, code, message)
+        answer = ask(self._talk, request, bytes.fromhex)
+        if answer is not None:
+            return answer
         raise DeviceError(
             f"{self._device} on {settings.port}: no answer to request {code} of address {settings.address} within "
-            f"{_ANSWER_S:g} s. Is the sensor powered, is its baud rate {settings.baud}, its parity {settings.parity}, "
+            f"{TRIES * ANSWER_S:g} s. "
+            f"Is the sensor powered, is its baud rate {settings.baud}, its parity {settings.parity}, "
             "its address the rig file's, and its protocol RIFTEK's binary one?"
         )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import TRIES, ask
 from daq.errors import DeviceError
 from rig_basics.texts import number_of
 from rig_drivers.vesc import wire
 from rig_drivers.vesc.settings import VescMotor
 
-_ANSWER_S = 0.5  # seconds
-_TRIES = 3
 _MIN_MAJOR = 3  # first major version of the firmware whose answers have the layout in `wire`
 
 
@@ -29,14 +27,17 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
     Raises:
         DeviceError: the controller does not answer, or its firmware's answers have another layout.
     """
-    while not talk.replies.empty():
-        talk.replies.get_nowait()
     heard: list[str] = []
-    for _ in range(_TRIES):
-        talk.send(query)
-        firmware = _answer(talk, heard)
-        if firmware is None:
-            continue
+
+    def found_in(reply: str) -> wire.Firmware | None:
+        try:
+            return wire.parse_identity(bytes.fromhex(reply))
+        except ValueError:  # usual: words, no payload: what else is on the line
+            heard.append(reply)
+            return None
+
+    firmware = ask(talk, query, found_in)
+    if firmware is not None:
         if firmware.major < _MIN_MAJOR:
             raise DeviceError(
                 f"{device}: firmware {firmware.major}.{firmware.minor:02d} answers in an unknown layout, "
@@ -52,27 +53,5 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
     came = f"{number_of(talk.bytes_in, 'byte')} came, none of them an answer" if talk.bytes_in else "nothing came"
     also = f", but {', '.join(heard)}" if heard else ""
     raise DeviceError(
-        f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries{also}. {advice}"
+        f"{device} on {settings.port}: expected its firmware's version, {came} in {TRIES} tries{also}. {advice}"
     )
-
-
-def _answer(talk: Talk, heard: list[str]) -> wire.Firmware | None:
-    """Return the next valid answer; None if none arrives in time.
-
-    Args:
-        heard: receives the replies in words, which are no payloads: what else is on the line.
-    """
-    deadline = talk.clock.wall_s() + _ANSWER_S
-    while (left := deadline - talk.clock.wall_s()) > 0:
-        try:
-            reply = talk.replies.get(timeout=left)
-        except queue.Empty:  # usual: no answer in time
-            return None
-        try:
-            payload = bytes.fromhex(reply)
-        except ValueError:  # usual: words
-            heard.append(reply)
-            continue
-        if (firmware := wire.parse_identity(payload)) is not None:
-            return firmware
-    return None

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
-from daq.drivers.simulated import FarEnd, FaultKind
+from typing_extensions import override
+
+from daq.drivers.simulated import FaultKind
+from daq.drivers.simulated_motor import COAST_RPM_S, LOOP_RPM_S, SimulatedMotor
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
-from rig_basics.units import RPM
 from rig_drivers.vesc import packets, wire
 from rig_drivers.vesc.settings import VescMotor
 
-_LOOP_RPM_S = 2000.0  # acceleration of the speed loop at the current limit: faster than any ramp of the host
-_COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _BRAKE_RPM_S_PER_A = 200.0
 _STEPS_PER_ERPM_S = 6 / 60  # a motor makes six steps per electrical revolution
 _FAULT_STOP_S = 0.5  # duration of a fault; then it ends by itself
@@ -21,7 +21,7 @@ _SUPPLY_V, _RUNNING_A, _RATED_ERPM = 24.0, 2.0, 20_000.0
 _FIRMWARE = wire.Firmware(6, 5, "60_MK5", "2a0041000a51353338363731")
 
 
-class SimulatedVesc(FarEnd):
+class SimulatedVesc(SimulatedMotor):
     """Controller that turns the rotor as commanded, and stops it by itself without commands.
 
     Args:
@@ -34,22 +34,14 @@ class SimulatedVesc(FarEnd):
         has_status: whether the firmware sends the status byte.
 
     Attributes:
-        emergencies: codes of the faults so far.
-        frames_sent: number of answers so far.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        **SimulatedMotor.fault_kinds,
         "fault": FaultKind(
             "it has a fault, which passes by itself: no torque", 4, meaning="the fault code", limits=(0, 255)
         ),
-        "restart": FaultKind("it starts again at once", end=None),
         "silent reports": FaultKind("it does not answer requests for its values"),
-        "reported share": FaultKind(
-            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
-        ),
-        "speed": FaultKind(
-            "it runs away until it is braked", 1000, end=None, meaning="to this speed, rpm", limits=(-10_000, 10_000)
-        ),
         "deaf": FaultKind("no command reaches it; it still answers polls"),
     }
 
@@ -63,65 +55,44 @@ class SimulatedVesc(FarEnd):
         timeout_brake_A: float | None = None,
         has_status: bool = True,
     ) -> None:
-        self._settings, self._motion, self._has_status = settings, motion, has_status
+        super().__init__(motion)
+        self._settings, self._has_status = settings, has_status
         self._timeout_s = settings.timeout_s if timeout_s is None else timeout_s
         self._timeout_brake_A = settings.brake_A if timeout_brake_A is None else timeout_brake_A
-        self.frames_sent: int = 0
-        self.emergencies: list[int] = []
-        self._now_s = 0.0
-        self._answers, self._deaf = True, False
-        self._reported_share = 1.0
         self._fault_until_s = 0.0
-        self._start()
+        self._restart()
 
     @classmethod
     def of(cls, device: str, settings: VescMotor, world: World) -> Self:
         """Make the controller of a simulated rig."""
         return cls(settings, world.motion, timeout_s=settings.timeout_s)
 
+    @override
     def facts(self) -> dict[str, Any]:
-        """See FarEnd."""
-        return {
-            "speed_rpm": self.speed_rpm,
-            "drive": self.state,
-            "frames": self.frames_sent,
-            "emergencies": self.emergencies,
-            "watchdog_ms": self.watchdog_ms,
-        }
+        return {**super().facts(), "drive": self.state}
 
-    def _start(self) -> None:
-        """Set the state after power-up."""
+    @override
+    def _restart(self) -> None:
         self._command: wire.MotorCommand | None = None
         self._heard_s: float | None = None
         self._fault = 0
-        self._runaway_rpm: float | None = None
+        self._runaway_rpm = None
         self._decoder = packets.PacketDecoder()
         self._steps = self._drawn_Ah = self._drawn_Wh = 0.0
 
+    @override
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
-        match what:
-            case "fault":
-                self._fault, self._fault_until_s = int(value), self._now_s + _FAULT_STOP_S
-                if self._fault:
-                    self.emergencies.append(self._fault)
-            case "restart":
-                self._start()
-            case "silent reports":
-                self._answers = not value
-            case "reported share":
-                self._reported_share = float(value)
-            case "speed":
-                self._runaway_rpm = float(value)
-            case "deaf":
-                self._deaf = bool(value)
-            case _:
-                super().fail(what, value)
+        if what != "fault":
+            super().fail(what, value)
+            return
+        self._fault, self._fault_until_s = int(value), self._now_s + _FAULT_STOP_S
+        if self._fault:
+            self.emergencies.append(self._fault)
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. Without supply the torque is 0; after power-up the controller has received no command."""
         super().power(on, now_s)
-        self._start()
+        self._restart()
 
     # --- state --------------------------------------------------------------------------------------------------
 
@@ -131,8 +102,8 @@ class SimulatedVesc(FarEnd):
         return self._heard_s is None or self._now_s - self._heard_s > self._timeout_s
 
     @property
+    @override
     def watchdog_ms(self) -> int:
-        """Timeout of the controller, ms."""
         return round(self._timeout_s * 1e3)
 
     @property
@@ -147,14 +118,9 @@ class SimulatedVesc(FarEnd):
         return "FREE" if command is None else names[command.what]
 
     @property
-    def speed_rpm(self) -> float:
-        """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / RPM
-
-    @property
     def values(self) -> wire.Values:
         """Values that the controller reports now."""
-        erpm = self.speed_rpm * self._reported_share * self._settings.pole_pairs
+        erpm = self._reported_rpm * self._settings.pole_pairs
         status = wire.TIMED_OUT if self.timed_out else 0
         return wire.Values(
             erpm=round(erpm),
@@ -174,22 +140,21 @@ class SimulatedVesc(FarEnd):
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes from the host; return the answers."""
-        self._now_s = max(self._now_s, now_s)
+        self._passed_s(now_s)
         out = b""
         for payload in self._decoder.feed(data).payloads:
             answer = self._answer(payload)
             if answer:
-                self.frames_sent += 1
                 out += packets.packet(answer)
         return out
 
     def _answer(self, payload: bytes) -> bytes:
         if payload == bytes([wire.GET_VALUES]):
-            return wire.pack_values(self.values) if self._answers else b""
+            return b"" if self._faults["silent reports"] else wire.pack_values(self.values)
         if payload == bytes([wire.FIRMWARE_VERSION]):
             return wire.pack_firmware(_FIRMWARE)
         command = wire.parse_command(payload)
-        if self._deaf or (command is None and payload != bytes([wire.ALIVE])):
+        if self._faults["deaf"] or (command is None and payload != bytes([wire.ALIVE])):
             return b""
         self._heard_s = self._now_s
         if command is not None:
@@ -200,7 +165,7 @@ class SimulatedVesc(FarEnd):
 
     def step(self, now_s: float) -> bytes:
         """Update timeout, fault and motor up to `now_s`. The controller sends nothing without a request."""
-        passed, self._now_s = max(0.0, now_s - self._now_s), max(self._now_s, now_s)
+        passed = self._passed_s(now_s)
         if self._fault and self._now_s >= self._fault_until_s:
             self._fault = 0
         erpm = abs(self.speed_rpm) * self._settings.pole_pairs
@@ -209,11 +174,8 @@ class SimulatedVesc(FarEnd):
         self._drawn_Ah += input_A * passed / 3600
         self._drawn_Wh += input_A * _SUPPLY_V * passed / 3600
         rpm, brake_A = self._set_point()
-        motion = self._motion
-        motion.target_rad_s = (rpm or 0.0) * RPM
-        motion.braking = rpm is None and brake_A > 0
-        ramp = _LOOP_RPM_S if rpm is not None else max(_COAST_RPM_S, brake_A * _BRAKE_RPM_S_PER_A)
-        motion.ramp_rad_s2 = ramp * RPM
+        ramp = LOOP_RPM_S if rpm is not None else max(COAST_RPM_S, brake_A * _BRAKE_RPM_S_PER_A)
+        self._drive(rpm or 0.0, ramp, braking=rpm is None and brake_A > 0)
         return b""
 
     def _set_point(self) -> tuple[float | None, float]:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import binascii
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.can_lines import Adapter
 from daq.drivers.simulated import FaultKind
+from daq.drivers.simulated_motor import Periodic
 from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.motion import SimulatedMotion
 from rig_drivers.vesc.far_end import SimulatedVesc
 from rig_drivers.vesc_can.settings import VescCan
 
-_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its status afterwards
 _SERIAL_COMMAND = {1: 6, 2: 7, 3: 8}  # current, brake, speed: command on the bus and on the serial port
 
 
@@ -28,22 +28,12 @@ class SimulatedVescCan(SimulatedVesc):
 
     def __init__(self, settings: VescCan, motion: SimulatedMotion, report_s: float = 0.0, **far: Any) -> None:
         self._bus, self._adapter = settings, Adapter()
-        self._status_due_s, self._sends_status, self._second_host = 0.0, True, False
+        self._statuses = Periodic()
         super().__init__(settings, motion, report_s, **far)
-
-    def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
-        match what:
-            case "silent status":
-                self._sends_status = not value
-            case "second host":
-                self._second_host = bool(value)
-            case _:
-                super().fail(what, value)
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """See FarEnd."""
-        self._now_s = max(self._now_s, now_s)
+        self._passed_s(now_s)
         frames, out = self._adapter.receive(data), b""
         for frame in frames:
             command, number = divmod(frame.arbitration_id, 256)
@@ -62,26 +52,21 @@ class SimulatedVescCan(SimulatedVesc):
         frames = [(5, bytes([at]) + payload[at : at + 7]) for at in range(0, len(payload), 7)]
         check = binascii.crc_hqx(payload, 0)
         frames.append((7, bytes([self._bus.controller_id, 1, 0, len(payload), check >> 8, check & 0xFF])))
-        return self._encoded([CanFrame(command * 256 + host, data, extended=True) for command, data in frames])
-
-    def _encoded(self, frames: Sequence[CanFrame]) -> bytes:
-        """Return the text of frames and count them."""
-        self.frames_sent: int = self.frames_sent + len(frames)
-        return encode(*frames)
+        return encode(*(CanFrame(command * 256 + host, data, extended=True) for command, data in frames))
 
     def step(self, now_s: float) -> bytes:
         """Update the controller up to `now_s`; return the status messages that are due."""
         super().step(now_s)
         out = b""
-        while self._bus.status_Hz and self._now_s >= self._status_due_s:
-            self._status_due_s = max(self._status_due_s + 1 / self._bus.status_Hz, self._now_s - _MAX_LATE_S)
-            if self._adapter.open and self.line_alive and self._sends_status:
+        due = self._statuses.due(self._now_s, 1 / self._bus.status_Hz) if self._bus.status_Hz else 0
+        for _ in range(due if self._adapter.open else 0):
+            if self.line_alive and not self._faults["silent status"]:
                 values = self.values
                 data = values.erpm.to_bytes(4, "big", signed=True)
                 data += round(values.motor_A * 10).to_bytes(2, "big", signed=True)
                 data += round(values.duty * 1000).to_bytes(2, "big", signed=True)
-                out += self._encoded([CanFrame(0x900 + self._bus.controller_id, data, extended=True)])
-            if self._adapter.open and self._second_host:
+                out += encode(CanFrame(0x900 + self._bus.controller_id, data, extended=True))
+            if self._faults["second host"]:
                 data = (7000).to_bytes(4, "big")
                 out += encode(CanFrame(0x300 + self._bus.controller_id, data, extended=True))
         return out

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.questions import ANSWER_S, TRIES, ask
 from daq.errors import DeviceError
 from rig_drivers.xbee import framing, wire
 from rig_drivers.xbee.settings import XBeeNode
 
-_ANSWER_S, _TRIES = 0.5, 3  # seconds
 _QUERIES = ("AP", "VR", "HV", "SH", "SL", "NP", "DB")
 
 
@@ -30,7 +29,7 @@ def identify(device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
     mode = _query(settings, talk, "AP")
     if mode is None:
         raise DeviceError(
-            f"{device} on {settings.port}: no answer to the AT command AP within {_ANSWER_S * _TRIES:g} s. Is the "
+            f"{device} on {settings.port}: no answer to the AT command AP within {ANSWER_S * TRIES:g} s. Is the "
             f"module in API mode (AP={settings.api_mode}, not 0), its baud rate {settings.baud} (BD), are both lines "
             "connected?"
         )
@@ -56,17 +55,12 @@ def identify(device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
 
 def _query(settings: XBeeNode, talk: Talk, command: str) -> bytes | None:
     """Return the value of a module's answer; None if it does not answer or refuses the command."""
-    while not talk.replies.empty():
-        talk.replies.get_nowait()
     frame_id = _QUERIES.index(command) + 1
-    for _ in range(_TRIES):
-        talk.send(framing.encode(wire.at_command(frame_id, command), escaped=settings.api_mode == 2))
-        deadline = talk.clock.wall_s() + _ANSWER_S
-        while (left := deadline - talk.clock.wall_s()) > 0:
-            try:
-                answer = wire.AtAnswer.of_text(talk.replies.get(timeout=left))
-            except queue.Empty:  # usual: no answer in time, the query is repeated
-                break
-            if (answer.frame_id, answer.command) == (frame_id, command):
-                return answer.value if answer.status == 0 else None
-    return None
+
+    def found_in(reply: str) -> wire.AtAnswer | None:
+        answer = wire.AtAnswer.of_text(reply)
+        return answer if (answer.frame_id, answer.command) == (frame_id, command) else None
+
+    request = framing.encode(wire.at_command(frame_id, command), escaped=settings.api_mode == 2)
+    answer = ask(talk, request, found_in)
+    return answer.value if answer is not None and answer.status == 0 else None

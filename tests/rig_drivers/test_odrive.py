@@ -343,7 +343,7 @@ def test_the_watchdog_removes_the_torque_when_the_host_is_gone() -> None:
     bench.clock.wait(0.45)
     assert bench.rpm > 195.0
     bench.clock.wait(1.0)
-    assert bench.axis.errors[-1] == wire.WATCHDOG["0.6"]
+    assert bench.axis.emergencies[-1] == wire.WATCHDOG["0.6"]
     assert bench.axis.state == wire.IDLE
     assert bench.rpm < 190.0
     with pytest.raises(LinkLost):

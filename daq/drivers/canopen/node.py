@@ -1,13 +1,14 @@
 """A CANopen node's end of the bus: its answers to a host, independent of the kind of device.
 
-Used by the simulated drive and by the stand-in for a drive of a log. `SdoServer` answers reads and writes of objects
-(expedited transfers), `NmtState` follows the network commands. Source: CiA 301, SDO protocol and NMT.
+Used by simulated nodes and by the stand-ins for nodes of a log. Source: CiA 301, SDO protocol (expedited transfers),
+NMT, heartbeat and emergency.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from daq.drivers.canopen import cia301
 from daq.transports.can_frames import CanFrame
@@ -17,14 +18,15 @@ Objects = dict[tuple[int, int], tuple[int, str]]
 
 NO_SUCH_OBJECT, WRONG_LENGTH, UNKNOWN_COMMAND = 0x06020000, 0x06070010, 0x05040001  # abort codes
 READ_ONLY = 0x06010002
-NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
+RESETS = (0x81, 0x82)
+"""Network commands after which a node starts again: all of it, or its communication."""
 
 _NMT = {
     NMT_START: cia301.Heartbeat.OPERATIONAL,
     NMT_STOP: cia301.Heartbeat.STOPPED,
     NMT_PRE_OPERATIONAL: cia301.Heartbeat.PRE_OPERATIONAL,
-    NMT_RESET: cia301.Heartbeat.PRE_OPERATIONAL,
-    NMT_RESET_COMMUNICATION: cia301.Heartbeat.PRE_OPERATIONAL,
+    **dict.fromkeys(RESETS, cia301.Heartbeat.PRE_OPERATIONAL),
 }
 
 
@@ -88,24 +90,67 @@ class SdoServer:
         return None if entry is None else struct.pack(entry[1], entry[0])
 
 
-class NmtState:
-    """Network state of a node, which follows network commands.
+class Node:
+    """A node's end of the bus: its answers, its network state, its heartbeat and its emergencies.
+
+    Args:
+        number: node number.
+        objects, measured, written: see SdoServer.
 
     Attributes:
-        state: NMT state, as in the node's heartbeat.
+        number: see above.
+        sdo: its objects.
+        state: NMT state, as in its heartbeat.
     """
 
-    def __init__(self, node: int) -> None:
+    def __init__(
+        self,
+        number: int,
+        objects: Objects,
+        measured: Mapping[tuple[int, int], Callable[[], bytes | None]] = MappingProxyType({}),
+        written: Callable[[int, int, int], None] = lambda index, sub, value: None,
+    ) -> None:
+        self.number: int = number
+        self.sdo: SdoServer = SdoServer(objects, measured, written)
         self.state: cia301.Heartbeat = cia301.Heartbeat.PRE_OPERATIONAL
-        self._node = node
+        self._beat_due_s = 0.0
 
-    def follow(self, frame: CanFrame) -> int | None:
-        """Take a frame; return its command if it is a network command for this node, otherwise None."""
-        if frame.arbitration_id != 0 or len(frame.data) != 2 or frame.data[1] not in (0, self._node):
-            return None
-        command = frame.data[0]
-        self.state = _NMT.get(command, self.state)
-        return command
+    @property
+    def operational(self) -> bool:
+        """Whether it sends and takes process data."""
+        return self.state == cia301.Heartbeat.OPERATIONAL
+
+    def command(self, frame: CanFrame) -> int | None:
+        """Return the network command in a frame, if there is one for this node, otherwise None."""
+        for_it = frame.arbitration_id == 0 and len(frame.data) == 2 and frame.data[1] in (0, self.number)
+        return frame.data[0] if for_it else None
+
+    def answers(self, frame: CanFrame) -> list[CanFrame]:
+        """Take a frame; return what the node answers. It follows network commands."""
+        command = self.command(frame)
+        if command is not None:
+            self.state = _NMT.get(command, self.state)
+            return [self.boot_up()] if command in RESETS else []
+        if frame.arbitration_id == cia301.cob_sdo_request(self.number) and len(frame.data) == 8:
+            return [CanFrame(cia301.cob_sdo_answer(self.number), self.sdo.answer(frame.data))]
+        return []
+
+    def boot_up(self) -> CanFrame:
+        """Return the message of its start."""
+        return CanFrame(cia301.cob_heartbeat(self.number), bytes([cia301.Heartbeat.BOOT_UP]))
+
+    def heartbeat(self, now_s: float) -> list[CanFrame]:
+        """Return the heartbeat if it is due."""
+        period_s = self.sdo.objects.get((cia301.PRODUCER_HEARTBEAT, 0), (0, ""))[0] * 1e-3
+        if not period_s or now_s < self._beat_due_s:
+            return []
+        self._beat_due_s = max(self._beat_due_s + period_s, now_s)
+        return [CanFrame(cia301.cob_heartbeat(self.number), bytes([self.state]))]
+
+    def emergency(self, code: int, register: int) -> CanFrame:
+        """Return the emergency of an error code and an error register."""
+        data = cia301.pack_emergency(cia301.Emergency(code, register, bytes(5)))
+        return CanFrame(cia301.cob_emergency(self.number), data)
 
 
 def _abort(head: bytes, code: int) -> bytes:

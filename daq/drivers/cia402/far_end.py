@@ -6,16 +6,11 @@ import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import Adapter
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.node import (
-    NMT_RESET,
-    NMT_RESET_COMMUNICATION,
-    NMT_STOP,
-    NmtState,
-    Objects,
-    SdoServer,
-)
+from daq.drivers.canopen.node import NMT_STOP, RESETS, Node, Objects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.profile import (
@@ -27,20 +22,18 @@ from daq.drivers.cia402.profile import (
     profile_of,
 )
 from daq.drivers.cia402.settings import MotorDrive
-from daq.drivers.simulated import FarEnd, FaultKind
+from daq.drivers.simulated import FaultKind
+from daq.drivers.simulated_motor import COAST_RPM_S, QUICK_RPM_S, Periodic, SimulatedMotor
 from daq.transports.can_frames import CanFrame
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 
-_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its reports afterwards
-_QUICK_STOP_RPM_S = 4000.0
-_COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
-_MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I")}
+_MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(QUICK_RPM_S), "<I")}
 
 
-class SimulatedDrive(FarEnd):
+class SimulatedDrive(SimulatedMotor):
     """Drive that turns the rotor as commanded, and stops it by itself if the host's heartbeat is missing.
 
     Args:
@@ -50,18 +43,16 @@ class SimulatedDrive(FarEnd):
 
     Attributes:
         state: CiA 402 state.
-        emergencies: error codes of the emergencies so far.
-        frames_sent: number of CAN frames sent to the host.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
+        **SimulatedMotor.fault_kinds,
         "emergency": FaultKind(
             "it sends an emergency and goes on", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
         ),
         "fault": FaultKind(
             "it enters FAULT: no torque", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
         ),
-        "restart": FaultKind("it starts again at once", end=None),
         "network": FaultKind(
             "it is in another network state", 4, end=5, meaning="4 stopped, 5 operational", limits=(4, 5)
         ),
@@ -70,33 +61,16 @@ class SimulatedDrive(FarEnd):
             "its time-out is not the one it states", 3.0, end=1, meaning="ratio to it", limits=(0.01, 1e3)
         ),
         "second host": FaultKind("another node on the bus sends the host's heartbeat"),
-        "reported share": FaultKind(
-            "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
-        ),
-        "speed": FaultKind(
-            "it runs away while it is in operation",
-            1000,
-            end=None,
-            meaning="to this speed, rpm",
-            limits=(-10_000, 10_000),
-        ),
     }
 
     def __init__(self, config: MotorDrive, motion: SimulatedMotion, report_s: float) -> None:
-        self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
-        self.frames_sent: int = 0
-        self.emergencies: list[int] = []
+        super().__init__(motion)
+        self._config, self._report_s = config, report_s
         self._profile, self._halted = profile_of(config), False
-        self._reports = True
-        self._watch_ratio = 1.0
-        self._reported_share = 1.0
-        self._second_host, self._second_due_s = False, 0.0
-        self._adapter = Adapter()
-        self._nmt = NmtState(self._node)
-        self.state: str = cia402.SWITCH_ON_DISABLED
+        self._second_due_s = 0.0
+        self._adapter, self._reports = Adapter(), Periodic()
         self._target_rpm = 0.0
         self._heard_s: float | None = None  # last host heartbeat; None until the first
-        self._tpdo_due = self._heartbeat_due = 0.0
         self._without_supply = False
         self._objects = self._initial_objects()
         measured = {
@@ -104,31 +78,24 @@ class SimulatedDrive(FarEnd):
             (self._profile.actual, 0): lambda: self._profile.pack(0, self._reported_rpm)[2:],
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", self._objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
-        self._sdo = SdoServer(self._objects, measured, self._written)
-        self._out: list[CanFrame] = []
+        self._node = Node(config.node_id, self._objects, measured, self._written)
         self._restart()
 
     def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
-        return drive_objects(self._node, self._profile) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
+        return drive_objects(self._config.node_id, self._profile) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, device: str, config: MotorDrive, world: World) -> SimulatedDrive:
         """Make the drive of a simulated rig."""
         return cls(config, world.motion, world.virtual.drive.report_s)
 
+    @override
     def facts(self) -> dict[str, Any]:
-        """See FarEnd."""
-        return {
-            "speed_rpm": self.speed_rpm,
-            "drive": self.state,
-            "can_frames": self.frames_sent,
-            "emergencies": self.emergencies,
-            "watchdog_ms": self.watchdog_ms,
-        }
+        return {**super().facts(), "drive": self.state}
 
+    @override
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
         match what:
             case "emergency":
                 self._emergency(int(value))
@@ -139,24 +106,17 @@ class SimulatedDrive(FarEnd):
                 self._objects[cia301.CONSUMER_HEARTBEAT, 1] = (0, "<I")
                 self._restart()
             case "network":
-                self._nmt.state = cia301.Heartbeat(int(value))
-            case "silent reports":
-                self._reports = not value
-            case "time-out":
-                self._watch_ratio = float(value)
-            case "second host":
-                self._second_host = bool(value)
-            case "reported share":
-                self._reported_share = float(value)
-            case "speed":  # it runs away
+                self._node.state = cia301.Heartbeat(int(value))
+            case "speed":  # until the next command
                 self._target_rpm = float(value)
             case _:
                 super().fail(what, value)
 
+    @override
     def _restart(self) -> None:
         self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0.0, None
-        self._nmt.state = cia301.Heartbeat.PRE_OPERATIONAL
-        self._out.append(CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP])))
+        self._node.state = cia301.Heartbeat.PRE_OPERATIONAL
+        self._adapter.out.append(self._node.boot_up())
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the drive; the adapter is supplied by the host and continues.
@@ -171,17 +131,13 @@ class SimulatedDrive(FarEnd):
 
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)
-        data = cia301.pack_emergency(cia301.Emergency(code, 0x11 if code else 0, bytes(5)))
-        self._out.append(CanFrame(cia301.cob_emergency(self._node), data))
+        self._adapter.out.append(self._node.emergency(code, 0x11 if code else 0))
 
     @property
+    @override
     def watchdog_ms(self) -> int:
         """Longest accepted interval of the host's heartbeat (1016h), ms; 0 if it is not watched."""
         return self._objects[cia301.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
-
-    @property
-    def _reported_rpm(self) -> float:
-        return self.speed_rpm * self._reported_share
 
     @property
     def _statusword(self) -> int:
@@ -192,31 +148,19 @@ class SimulatedDrive(FarEnd):
         reached = abs(rpm - self._target_rpm) < 1 + 0.01 * abs(self._target_rpm)
         return word | TARGET_REACHED * reached | SPEED_ZERO * (abs(rpm) < 1)
 
-    @property
-    def speed_rpm(self) -> float:
-        """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / RPM
-
     def receive(self, data: bytes, now_s: float) -> bytes:
         """See FarEnd."""
         frames = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             self._frame(frame, now_s)
-        return self._take()
-
-    def _take(self) -> bytes:
-        frames, self._out = self._out, []
-        self.frames_sent += len(frames) * self._adapter.open
-        return self._adapter.pass_on(frames)
+        return self._adapter.pass_on()
 
     def _frame(self, frame: CanFrame, now_s: float) -> None:
         identifier, data = frame.arbitration_id, frame.data
-        if (command := self._nmt.follow(frame)) is not None:
-            self._react(command)
-        elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
-            self._out.append(CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data)))
-        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
-            if self._nmt.state == cia301.Heartbeat.OPERATIONAL:
+        self._react(self._node.command(frame))
+        self._adapter.out += self._node.answers(frame)
+        if identifier == cia301.cob_rpdo(1, self._config.node_id) and len(data) == self._profile.size:
+            if self._node.operational:
                 control, self._target_rpm = self._profile.unpack(data)
                 form = self._objects[self._profile.target, 0][1]
                 self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
@@ -224,13 +168,11 @@ class SimulatedDrive(FarEnd):
         elif identifier == cia301.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
             self._heard_s = now_s
 
-    def _react(self, command: int) -> None:
-        resets = (NMT_RESET, NMT_RESET_COMMUNICATION)
-        if command in (NMT_STOP, *resets) and self.state == cia402.OPERATION_ENABLED:
+    def _react(self, command: int | None) -> None:
+        if command in (NMT_STOP, *RESETS) and self.state == cia402.OPERATION_ENABLED:
             self._quick_stop()
-        if command in resets:
+        if command in RESETS:
             self._heard_s = None
-            self._out.append(CanFrame(cia301.cob_heartbeat(self._node), b"\x00"))
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (cia402.CONTROLWORD, 0):
@@ -265,8 +207,7 @@ class SimulatedDrive(FarEnd):
     def step(self, now_s: float) -> bytes:
         """Update watchdog, ramps and state up to `now_s`; return the frames that are due."""
         if self._without_supply:
-            self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * RPM
-            self._motion.braking = False
+            self._drive(0.0, COAST_RPM_S)
             return b""
         self._send_as_second_host(now_s)
         self._watch(now_s)
@@ -274,14 +215,12 @@ class SimulatedDrive(FarEnd):
         in_mode = self._objects[0x6060, 0][0] == self._profile.mode
         target = self._target_rpm if enabled and in_mode and not self._halted else 0
         stopping = self.state == cia402.QUICK_STOP_ACTIVE
-        ramp = self._ramp_rpm_s(target) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
-        self._motion.target_rad_s = target * RPM
-        self._motion.ramp_rad_s2 = ramp * RPM
-        self._motion.braking = stopping
+        ramp = self._ramp_rpm_s(target) if enabled else QUICK_RPM_S if stopping else COAST_RPM_S
+        self._drive(target, ramp, braking=stopping)
         if self.state == cia402.QUICK_STOP_ACTIVE and abs(self._motion.speed_rad_s) < 0.01:
             self.state = cia402.SWITCH_ON_DISABLED
         self._cyclic(now_s)
-        return self._take()
+        return self._adapter.pass_on()
 
     def _ramp_rpm_s(self, target_rpm: float) -> float:
         """Ramp towards a target speed, rpm/s."""
@@ -293,16 +232,16 @@ class SimulatedDrive(FarEnd):
 
     def _send_as_second_host(self, now_s: float) -> None:
         """Send the heartbeat of another node with the host's number; the drive cannot distinguish the two."""
-        if not self._second_host or now_s < self._second_due_s:
+        if not self._faults["second host"] or now_s < self._second_due_s:
             return
         self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # the other node has its own clock
         beat = CanFrame(cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL]))
-        self._out.append(beat)
+        self._adapter.out.append(beat)
         self._frame(beat, now_s)
 
     def _watch(self, now_s: float) -> None:
         limit_ms = self.watchdog_ms
-        if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3 * self._watch_ratio:
+        if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3 * self._faults["time-out"]:
             return
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:
@@ -310,14 +249,10 @@ class SimulatedDrive(FarEnd):
         self._emergency(cia301.HEARTBEAT_ERROR)
 
     def _cyclic(self, now_s: float) -> None:
-        every = self._objects[0x1017, 0][0] * 1e-3
-        if every and now_s >= self._heartbeat_due:
-            self._heartbeat_due = max(self._heartbeat_due + every, now_s - every)
-            self._out.append(CanFrame(cia301.cob_heartbeat(self._node), bytes([self._nmt.state])))
-        if self._nmt.state != cia301.Heartbeat.OPERATIONAL or not self._reports:
-            self._tpdo_due = now_s
+        self._adapter.out += self._node.heartbeat(now_s)
+        if not self._node.operational or self._faults["silent reports"]:
+            self._reports.begin(now_s)
             return
-        while now_s >= self._tpdo_due:
-            self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _MAX_LATE_S)
+        for _ in range(self._reports.due(now_s, self._report_s)):
             data = self._profile.pack(self._statusword, self._reported_rpm)
-            self._out.append(CanFrame(cia301.cob_tpdo(1, self._node), data))
+            self._adapter.out.append(CanFrame(cia301.cob_tpdo(1, self._config.node_id), data))

@@ -8,12 +8,7 @@ from typing import Any
 
 from daq.drivers.can_lines import PlayedOnBus
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.node import (
-    NMT_RESET,
-    NMT_RESET_COMMUNICATION,
-    NmtState,
-    SdoServer,
-)
+from daq.drivers.canopen.node import Node
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.profile import profile_of
@@ -33,8 +28,7 @@ class PlayedDrive(PlayedOnBus):
 
     def __init__(self, config: MotorDrive, identity: Mapping[str, Any]) -> None:
         super().__init__({cia301.cob_heartbeat(config.host_node_id)})
-        self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
-        self._nmt = NmtState(config.node_id)
+        self._host_beat = cia301.cob_heartbeat(config.host_node_id)
         self._profile = profile_of(config)
         self._reported = bytes(self._profile.size)
         objects = self._objects = drive_objects(config.node_id, self._profile)
@@ -43,17 +37,17 @@ class PlayedDrive(PlayedOnBus):
             (self._profile.actual, 0): lambda: self._reported[2:],
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
-        self._sdo = SdoServer(objects, measured, self._written)
+        self._node = Node(config.node_id, objects, measured, self._written)
 
     @property
     def sending(self) -> bool:
         """See PlayedDevice."""
-        return super().sending and self._nmt.state == cia301.Heartbeat.OPERATIONAL
+        return super().sending and self._node.operational
 
     def begin(self) -> None:
         """See PlayedDevice."""
         super().begin()
-        self._nmt.state = cia301.Heartbeat.OPERATIONAL
+        self._node.state = cia301.Heartbeat.OPERATIONAL
 
     def is_host(self, frame: CanFrame) -> bool:
         """See PlayedOnBus."""
@@ -61,18 +55,15 @@ class PlayedDrive(PlayedOnBus):
 
     def _pass(self, data: bytes) -> bytes:
         for frame in decode(data).frames:
-            if frame.arbitration_id == cia301.cob_tpdo(1, self._node) and len(frame.data) >= self._profile.size:
+            if frame.arbitration_id == cia301.cob_tpdo(1, self._node.number) and len(frame.data) >= self._profile.size:
                 self._reported = frame.data[: self._profile.size]
         return super()._pass(data)
 
     def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
         """See PlayedOnBus."""
-        identifier, data = frame.arbitration_id, frame.data
-        if self._nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            yield CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
-        elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
-            yield CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
-        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
+        data = frame.data
+        yield from self._node.answers(frame)
+        if frame.arbitration_id == cia301.cob_rpdo(1, self._node.number) and len(data) == self._profile.size:
             form = self._objects[self._profile.target, 0][1]
             self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
             self._turn(self._profile.unpack(data)[0])

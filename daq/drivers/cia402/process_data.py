@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.drivers.canopen import cia301
+from daq.drivers.canopen.changes import MAX_ENTRIES, PDO_NO_REMOTE, PDO_OFF, Changes, restoring
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
 from daq.drivers.canopen.objects import NoAnswer, NodeObjects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
-from daq.errors import DeviceError, LinkLost
+from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 from rig_basics.texts import number_of
 
@@ -27,11 +28,9 @@ _log = logging.getLogger(__name__)
 REPORT_MS = 10
 """Period, ms, that is set in a drive without a period or with a longer one than `_MAX_PERIOD_MS`."""
 _MAX_PERIOD_MS = 100
-_OFF, _NO_REMOTE = 1 << 31, 1 << 30  # bits of a COB-ID: PDO not used; PDO cannot be requested
 _OWN_EVENTS = 255  # transmission type: immediately, or by the event timer
 _MIN_EVENT_TYPE = 254  # smaller types wait for a SYNC or a remote request, which the host does not send
 _INHIBIT_PER_MS = 10  # inhibit times are in units of 0.1 ms
-_MAX_ENTRIES = 64  # in a PDO: one for each bit
 _PDOS_OF_A_KIND = 4  # in a drive
 
 
@@ -82,14 +81,20 @@ def map_process_data(
         _Pdo(cia301.TPDO1, cia301.TPDO1_MAPPING, reported, cia301.cob_tpdo(1, node_id), reports=True),
     )
     try:
-        found = [state for pdo in pdos if (state := _FoundPdo.of(objects, pdo)) is not None]
-        _check_others(objects, pdos)
-        if in_torque and any(state.wrong for state in found):
-            raise DeviceError("drive: it has torque, and its process data is another's. Stop it first")
-        for state in found:
-            state.set_period(objects)
-        _map_all(objects, found)
-        return any(state.needs_requests for state in found)
+        with restoring(objects) as changes:
+            found = [state for pdo in pdos if (state := _FoundPdo.of(changes, pdo)) is not None]
+            _check_others(changes, pdos)
+            if in_torque and any(state.wrong for state in found):
+                raise DeviceError("drive: it has torque, and its process data is another's. Stop it first")
+            for state in found:
+                state.set_period(changes)
+            try:
+                _correct_all(changes, found)
+            except DeviceError as error:
+                _log.info("mapping not accepted in this network state, so it is set in PRE-OPERATIONAL: %s", error)
+                objects.send(0, bytes([NMT_PRE_OPERATIONAL, objects.node_id]))
+                _correct_all(changes, found)
+            return any(state.needs_requests for state in found)
     except NoAnswer:
         raise
     except DeviceError as error:
@@ -106,38 +111,33 @@ class _FoundPdo:
     """The configuration of a PDO when it was read, and whether it is wrong."""
 
     def __init__(self, pdo: _Pdo, own: int, kind: int, inhibit: int, mapped: list[int | None]) -> None:
-        self.pdo, self.own, self.kind, self.inhibit, self.mapped = pdo, own, kind, inhibit, mapped
+        self.pdo, self.own, self.kind = pdo, own, kind
         self.wanted = list(pdo.entries)
         more = len(mapped) - len(self.wanted)
         self.entries_right = mapped[: len(self.wanted)] == self.wanted and (
-            0 <= more <= _MAX_ENTRIES if pdo.reports else more == 0
+            0 <= more <= MAX_ENTRIES if pdo.reports else more == 0
         )
         self.too_rare = pdo.reports and inhibit > _MAX_PERIOD_MS * _INHIBIT_PER_MS
-        communication_right = own & ~_NO_REMOTE == pdo.identifier and kind >= _MIN_EVENT_TYPE
+        communication_right = own & ~PDO_NO_REMOTE == pdo.identifier and kind >= _MIN_EVENT_TYPE
         self.wrong = not (self.entries_right and communication_right) or self.too_rare
-        self.changed = False
         self._has_period = False
 
     @property
     def needs_requests(self) -> bool:
         """Whether the PDO has no period, so that the drive may report changes only, and remote requests are allowed."""
-        return self.pdo.reports and not self._has_period and not self.own & _NO_REMOTE
+        return self.pdo.reports and not self._has_period and not self.own & PDO_NO_REMOTE
 
     @classmethod
-    def of(cls, objects: NodeObjects, pdo: _Pdo) -> _FoundPdo | None:
+    def of(cls, objects: Changes, pdo: _Pdo) -> _FoundPdo | None:
         """Read a PDO; None if the drive does not provide its mapping."""
-        own, kind, inhibit, count = (
-            objects.read(*where)
-            for where in ((pdo.communication, 1), (pdo.communication, 2), (pdo.communication, 3), (pdo.mapping, 0))
-        )
-        if count is None:
+        mapped = objects.mapped(pdo.mapping)
+        if mapped is None:
             return None
-        mapped = [objects.read(pdo.mapping, sub) for sub in range(1, min(count, _MAX_ENTRIES) + 1)]
-        mapped += [None] * (count - len(mapped))  # such counts are not mappings: 254 and 255 mark other kinds of PDO
+        own, kind, inhibit = (objects.read(pdo.communication, sub) for sub in (1, 2, 3))
         own = pdo.identifier if own is None else own
         return cls(pdo, own, _OWN_EVENTS if kind is None else kind, inhibit or 0, mapped)
 
-    def set_period(self, objects: NodeObjects) -> None:
+    def set_period(self, objects: Changes) -> None:
         """Set the period of a drive that reports rarely or only changes. Some drives accept it only when off."""
         if not self.pdo.reports or self.wrong:
             return
@@ -147,18 +147,18 @@ class _FoundPdo:
             _log.info("period not accepted while the PDO is on, so it is set while the PDO is off: %s", error)
             self.wrong = True
 
-    def _write_period(self, objects: NodeObjects) -> None:
+    def _write_period(self, objects: Changes) -> None:
         period_ms = objects.read(self.pdo.communication, 5)
         if period_ms is not None and not 0 < period_ms <= _MAX_PERIOD_MS:
             objects.write(self.pdo.communication, 5, REPORT_MS, 2)
         self._has_period = period_ms is not None
 
-    def correct(self, objects: NodeObjects) -> None:
+    def correct(self, objects: Changes) -> None:
         """Correct the configuration in the order of the standard: a PDO is off while it is changed."""
         if not self.wrong:
             return
-        pdo, self.changed = self.pdo, True
-        objects.write(pdo.communication, 1, self.own | _OFF, 4)
+        pdo = self.pdo
+        objects.write(pdo.communication, 1, self.own | PDO_OFF, 4)
         if self.kind < _MIN_EVENT_TYPE:
             objects.write(pdo.communication, 2, _OWN_EVENTS, 1)
         if self.too_rare:
@@ -168,56 +168,19 @@ class _FoundPdo:
             with ignoring(_log, "setting the period of reports", DeviceError):
                 self._write_period(objects)
         if not self.entries_right:
-            _map_entries(objects, pdo, self.wanted)
-        objects.write(pdo.communication, 1, self.own & _NO_REMOTE | pdo.identifier, 4)
-
-    def restore(self, objects: NodeObjects) -> None:
-        """Restore the configuration that was read, as far as the drive accepts it."""
-        if not self.changed:
-            return
-        pdo = self.pdo
-        entries = [entry for entry in self.mapped if entry is not None]
-        for undo in (
-            lambda: objects.write(pdo.communication, 1, self.own | _OFF, 4),
-            lambda: None if self.entries_right else _map_entries(objects, pdo, entries),
-            lambda: objects.write(pdo.communication, 2, self.kind, 1) if self.kind < _MIN_EVENT_TYPE else None,
-            lambda: objects.write(pdo.communication, 3, self.inhibit, 2) if self.too_rare else None,
-            lambda: objects.write(pdo.communication, 1, self.own, 4),
-        ):
-            try:
-                undo()
-            except (DeviceError, LinkLost) as error:
-                _log.warning("mapping of a PDO of the drive not restored completely: %s", error)
+            objects.map_entries(pdo.mapping, self.wanted)
+        objects.write(pdo.communication, 1, self.own & PDO_NO_REMOTE | pdo.identifier, 4)
 
 
-def _check_others(objects: NodeObjects, pdos: Sequence[_Pdo]) -> None:
+def _check_others(objects: Changes, pdos: Sequence[_Pdo]) -> None:
     """Raise DeviceError if another PDO of the drive has the same identifier: its bytes would be decoded as speeds."""
     for pdo in pdos:
         for index in range(pdo.communication + 1, pdo.communication + _PDOS_OF_A_KIND):
             own = objects.read(index, 1)
-            if own is not None and not own & _OFF and own & ~_NO_REMOTE == pdo.identifier:
+            if own is not None and not own & PDO_OFF and own & ~PDO_NO_REMOTE == pdo.identifier:
                 raise DeviceError(f"drive: {index:04X}h sub 1 has the identifier {pdo.identifier:03X}h too")
 
 
-def _map_all(objects: NodeObjects, found: Sequence[_FoundPdo]) -> None:
-    """Correct all PDOs; restore all if one cannot be corrected."""
-    try:
-        try:
-            for state in found:
-                state.correct(objects)
-        except DeviceError as error:
-            _log.info("mapping not accepted in this network state, so it is set in PRE-OPERATIONAL: %s", error)
-            objects.send(0, bytes([NMT_PRE_OPERATIONAL, objects.node_id]))
-            for state in found:
-                state.correct(objects)
-    except BaseException:
-        for state in found:
-            state.restore(objects)
-        raise
-
-
-def _map_entries(objects: NodeObjects, pdo: _Pdo, entries: Sequence[int]) -> None:
-    objects.write(pdo.mapping, 0, 0, 1)
-    for sub, entry in enumerate(entries, 1):
-        objects.write(pdo.mapping, sub, entry, 4)
-    objects.write(pdo.mapping, 0, len(entries), 1)
+def _correct_all(objects: Changes, found: Sequence[_FoundPdo]) -> None:
+    for state in found:
+        state.correct(objects)

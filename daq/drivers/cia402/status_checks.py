@@ -8,9 +8,11 @@ from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia402 import wire
 from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.faults import REMEDY
 from daq.drivers.cia402.host_beats import IN_A_ROW
 from daq.drivers.cia402.statements import is_decimal_error
 from daq.drivers.contract import SpeedControl
+from daq.drivers.fault_checks import controller_checks
 from daq.items import DeviceEvent
 
 _FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
@@ -24,11 +26,7 @@ def drive_checks(control: SpeedControl | None, events: Sequence[DeviceEvent], fo
         events: events of the drive during the check.
         foreign_beats: number of heartbeats under the host's number that the host did not send.
     """
-    out = {} if control is None else {"state": _state(control)}
-    codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
-    bad = [code for code in codes if code not in (0, cia301.HEARTBEAT_ERROR)]
-    words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
-    out["emergencies"] = DeviceCheck(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
+    out = controller_checks(control, events, _meaning, _FAULTY, (cia301.HEARTBEAT_ERROR,))
     note = "" if foreign_beats < IN_A_ROW else "another node bears the host's number (host_node_id): find it"
     out["foreign_heartbeats"] = DeviceCheck(foreign_beats, 0, foreign_beats < IN_A_ROW, note)
     if isinstance(control, DriveControl):
@@ -55,13 +53,6 @@ def _unit(control: DriveControl) -> Checks:
     return {"units_per_rpm": DeviceCheck(given, stated, ok, note)}
 
 
-def _state(control: SpeedControl) -> DeviceCheck:
-    state = control.state
-    faulty = state in _FAULTY
-    code = control.fault_code() if faulty and state != wire.UNKNOWN else None
-    beat = code == cia301.HEARTBEAT_ERROR
-    note = ""
-    if faulty:
-        cause = "it reports no cause" if code is None else f"error 0x{code:04X}"
-        note = f"{cause}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
-    return DeviceCheck(state, "no fault", not faulty or beat, note)
+def _meaning(code: int) -> str:
+    remedy = ": a host was gone; the next test resets it" if code == cia301.HEARTBEAT_ERROR else f". {REMEDY}"
+    return f"{cia301.emergency_words(code)}{remedy}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import pytest
 
@@ -13,7 +13,18 @@ from daq.drivers.host_command import UNCONFIRMED, HostCommand, Steps
 from daq.errors import DeviceError, ProcedureError
 from daq.transports.host_clock import HostClock, Repeated
 
-SETTINGS = SimpleNamespace(ramp_rpm_per_s=100.0, rest_rpm=1.0)
+
+@dataclass(frozen=True)
+class Settings:
+    ramp_rpm_per_s: float = 100.0
+    rest_rpm: float = 1.0
+
+
+class Ended:
+    """A repeated action that never runs."""
+
+    def stop(self, seconds: float | None = 2.0) -> None:
+        """Nothing runs."""
 
 
 class HandClock(HostClock):
@@ -37,7 +48,7 @@ class HandClock(HostClock):
     def every(
         self, seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
     ) -> Repeated:
-        return SimpleNamespace(stop=lambda seconds=2.0: None)
+        return Ended()
 
 
 class Motor(HostCommand):
@@ -48,8 +59,9 @@ class Motor(HostCommand):
         self.sent: list[str] = []
         self.refused: Exception | None = None
         self.rpm, self.obeys, self.brakes, self.releases = 0.0, True, True, True
+        self.last_step: Callable[[], None] = lambda: None
         guard = RotorGuard(self._permit, lambda: abs(self.rpm) < 1, lambda: abs(self.rpm))
-        super().__init__(SETTINGS, lambda data: None, self.clock, guard)
+        super().__init__(Settings(), lambda data: None, self.clock, guard)
 
     def _permit(self, rpm: float | None) -> None:
         if self.refused is not None:
@@ -83,6 +95,7 @@ class Motor(HostCommand):
         try:
             while not self.obeys:
                 yield "it does not obey"
+            self.last_step()
         except BaseException:
             self.sent.append("abandoned")
             raise
@@ -163,7 +176,10 @@ def test_a_stop_ends_the_enabling_also_if_the_device_has_obeyed(motor: Motor) ->
     with pytest.raises(DeviceError, match="a stop was commanded while it was being enabled"):
         motor.enable()
     assert not motor.enabled
-    motor.clock.passes = lambda at_s: None
+    motor.clock.passes, motor.last_step = lambda at_s: None, motor.quick_stop
+    with pytest.raises(DeviceError, match="a stop was commanded while it was being enabled"):
+        motor.enable()
+    motor.last_step = lambda: None
     motor.enable()
     motor.reports(0.0)
     assert motor.enabled

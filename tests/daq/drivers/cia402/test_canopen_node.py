@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from daq.drivers.can_lines import Adapter
 from daq.drivers.canopen import cia301
-from daq.drivers.canopen.node import NmtState, SdoServer
+from daq.drivers.canopen.node import Node, SdoServer
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402.drive_objects import drive_objects
 from daq.transports import HostClock
@@ -85,7 +85,7 @@ def test_a_late_answer_to_a_read_does_not_end_a_write() -> None:
 
 
 def test_the_network_starts_and_stops_this_node_or_all() -> None:
-    node = NmtState(5)
+    node = Node(5, drive_objects(5))
     for data, state in (
         (b"\x01\x05", cia301.Heartbeat.OPERATIONAL),
         (b"\x80\x06", cia301.Heartbeat.OPERATIONAL),  # another node's
@@ -95,10 +95,21 @@ def test_the_network_starts_and_stops_this_node_or_all() -> None:
         (b"\x82\x05", cia301.Heartbeat.PRE_OPERATIONAL),
         (b"\x77\x05", cia301.Heartbeat.PRE_OPERATIONAL),
     ):
-        followed = node.follow(CanFrame(0, data))
-        assert followed == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
-        assert node.state == state
-    assert node.follow(CanFrame(0x205, b"\x01\x05")) is None
+        frame = CanFrame(cia301.COB_NMT, data)
+        assert node.command(frame) == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
+        boot_up = [CanFrame(cia301.cob_heartbeat(5), b"\x00")] if data == b"\x82\x05" else []
+        assert (node.answers(frame), node.state) == (boot_up, state)
+    assert node.command(CanFrame(0x205, b"\x01\x05")) is None
+
+
+def test_a_node_sends_its_heartbeat_with_its_state_when_it_is_due() -> None:
+    node = Node(5, drive_objects(5))
+    assert node.heartbeat(1.0) == []
+    node.sdo.answer(struct.pack("<BHBHH", 0x2B, cia301.PRODUCER_HEARTBEAT, 0, 100, 0))
+    node.answers(CanFrame(cia301.COB_NMT, b"\x01\x05"))
+    sent = [frame.data for k in range(100) for frame in node.heartbeat(1.0 + 0.01 * k)]
+    assert set(sent) == {bytes([cia301.Heartbeat.OPERATIONAL])}
+    assert 10 <= len(sent) <= 11
 
 
 def test_an_adapter_answers_for_itself() -> None:

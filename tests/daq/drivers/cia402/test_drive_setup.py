@@ -305,7 +305,7 @@ def test_the_drive_s_mapping_is_restored_for_any_end_of_the_set_up() -> None:
         before = dict(drive.objects)
 
         def interrupt(index: int, sub: int, value: int, drive: MappedDrive = drive, ending: type = ending) -> None:
-            if (index, sub, value) == (cia301.TPDO1_MAPPING, 2, ACTUAL) and not drive.interrupted:
+            if (index, sub, value) == (cia301.TPDO1_MAPPING, 0, 2) and not drive.interrupted:
                 drive.interrupted = True
                 raise ending("now")
 

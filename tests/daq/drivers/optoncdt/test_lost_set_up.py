@@ -267,6 +267,7 @@ def test_attempts_that_fail_in_ever_new_words_are_reported_ten_times(
 
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        sim.clock.wait(3.0)
         monkeypatch.setitem(vars(DRIVER), "open", refuses)
         sim.ask("fail", device="laser_y", what="power", value=1, seconds=0.1)
         for _ in range(820):

@@ -1,0 +1,61 @@
+"""Questions of a dialogue: a request is repeated until a fitting reply arrives."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+from daq.drivers.contract import Talk
+
+ANSWER_S, TRIES = 0.5, 3
+"""Usual wall time within which a device answers, s, and number of times that a request is sent."""
+_Found = TypeVar("_Found")
+
+
+def drop_replies(talk: Talk) -> None:
+    """Drop the replies that have arrived: they belong to no request to come."""
+    while not talk.replies.empty():
+        talk.replies.get_nowait()
+
+
+def replies_within(talk: Talk, seconds: float) -> Iterator[str]:
+    """Yield the replies that arrive within some wall s."""
+    deadline = talk.clock.wall_s() + seconds
+    while (left := deadline - talk.clock.wall_s()) > 0:
+        try:
+            reply = talk.replies.get(timeout=left)
+        except queue.Empty:  # usual: no further reply in time
+            return
+        yield reply
+
+
+def ask(
+    talk: Talk,
+    request: bytes,
+    found_in: Callable[[str], _Found | None],
+    seconds: float | None = None,
+    tries: int = TRIES,
+) -> _Found | None:
+    """Send a request until it is answered.
+
+    Args:
+        talk: the open device.
+        request: the request.
+        found_in: returns what a reply answers; None for a reply to something else. It may raise.
+        seconds: wall time within which an answer arrives, s; None: `ANSWER_S`.
+        tries: number of times that the request is sent.
+
+    Returns:
+        What `found_in` returned; None without an answer.
+
+    Raises:
+        LinkLost: the connection to the device is lost.
+    """
+    drop_replies(talk)
+    for _ in range(tries):
+        talk.send(request)
+        for reply in replies_within(talk, ANSWER_S if seconds is None else seconds):
+            if (found := found_in(reply)) is not None:
+                return found
+    return None
