@@ -49,11 +49,12 @@ class VescLine(Protocol):
     """The line of a controller: framing of the payloads in both directions.
 
     Attributes:
-        speeds_erpm: electrical speeds, rpm, that the last `received` contained in addition to answers.
+        speeds_erpm: electrical speeds, rpm, that the last `received` contained in addition to answers, each after the
+            number of payloads that came before it.
         others: payloads of another host in the last `received`, in a session that only receives.
     """
 
-    speeds_erpm: list[int]
+    speeds_erpm: list[tuple[int, int]]
     others: list[bytes]
 
     def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
@@ -69,7 +70,7 @@ class SerialLine:
     """See VescLine: packets on a serial port. Bytes outside intact packets are counted as `damaged_bytes`."""
 
     def __init__(self, device: str, losses: dict[str, int]) -> None:
-        self.speeds_erpm: list[int] = []
+        self.speeds_erpm: list[tuple[int, int]] = []
         self.others: list[bytes] = []
         self._device, self._losses = device, losses
         losses["damaged_bytes"] = 0
@@ -135,18 +136,17 @@ class VescPipeline(Pipeline):
         out: list[Batch | DeviceEvent] = [*events]
         if any(event.kind == "restart" for event in events):
             self._last = None  # its smaller counters are the same restart
-        words: list[int] = []
-        for payload in payloads:
-            if payload[0] == wire.GET_VALUES:
-                out += self._report(payload, words)
-            elif payload[0] == wire.FIRMWARE_VERSION:
+        rows: list[tuple[int, int]] = []  # electrical speed and statusword, in the order of the bytes
+        for place, payload in enumerate((*payloads, b"")):
+            rows += [(erpm, self._word or 0) for before, erpm in self._line.speeds_erpm if before == place]
+            if payload[:1] == bytes([wire.GET_VALUES]):
+                out += self._report(payload, rows)
+            elif payload[:1] == bytes([wire.FIRMWARE_VERSION]):
                 out.append(self._identity(payload))
         for payload in self._line.others:
             self._sent(payload)
-        erpms = [values.erpm for values in self.answers] + self._line.speeds_erpm
-        words += [self._word or 0] * len(self._line.speeds_erpm)
-        if erpms:
-            n = len(erpms)
+        if rows:
+            n, (erpms, words) = len(rows), zip(*rows, strict=True)
             columns = {
                 "speed_rpm": np.array(erpms, float) / self._pole_pairs,
                 "target_rpm": np.full(n, self._target_rpm),
@@ -182,7 +182,7 @@ class VescPipeline(Pipeline):
         )
         return DeviceEvent("reply", self._device, payload.hex(), facts)
 
-    def _report(self, payload: bytes, words: list[int]) -> list[DeviceEvent]:
+    def _report(self, payload: bytes, rows: list[tuple[int, int]]) -> list[DeviceEvent]:
         values = wire.parse_values(payload)
         if values is None:
             self.losses["unreadable_answers"] += 1
@@ -198,7 +198,7 @@ class VescPipeline(Pipeline):
         out += self._slowing.check(self._command == BRAKE, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
-        words.append(word)
+        rows.append((values.erpm, word))
         return out
 
     def _gap(self) -> list[DeviceEvent]:

@@ -31,7 +31,7 @@ class CanLine:
     """
 
     def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
-        self.speeds_erpm: list[int] = []
+        self.speeds_erpm: list[tuple[int, int]] = []
         self.others: list[bytes] = []
         self._device, self._losses, self._settings = device, losses, settings
         self._number = settings.controller_id
@@ -79,7 +79,8 @@ class CanLine:
         if number == self._number and command == wire.STATUS:
             self._contact.heard()
         if command == wire.STATUS:
-            return self._status(frame.data, host_ns) if number == self._number else self._other_status(number)
+            own = number == self._number
+            return self._status(frame.data, host_ns, len(payloads)) if own else self._other_status(number)
         if command == wire.BOOT:
             return [self._started()] if number == self._number else []
         if command in _TO_HOST and number == self._settings.host_id:
@@ -98,11 +99,11 @@ class CanLine:
         text = "the controller started again: it has sent the message of its start"
         return DeviceEvent("restart", self._device, text, {})
 
-    def _status(self, data: bytes, host_ns: int) -> list[DeviceEvent]:
+    def _status(self, data: bytes, host_ns: int, place: int) -> list[DeviceEvent]:
         status = wire.parse_status(data)
         if status is None:
             return self._damage()
-        self.speeds_erpm.append(status.erpm)
+        self.speeds_erpm.append((place, status.erpm))
         return self.status_watch.message(host_ns)
 
     def _other_status(self, number: int) -> list[DeviceEvent]:

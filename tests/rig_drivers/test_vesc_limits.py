@@ -227,7 +227,7 @@ def test_surplus_answers_neither_count_nor_hide_later_ones() -> None:
 # --- the line on a bus ---------------------------------------------------------------------------------------------
 
 
-def test_speeds_of_the_status_have_the_newest_state() -> None:
+def test_speeds_of_the_status_have_the_state_of_the_answer_before_them() -> None:
     line = on_bus()
     assert line.losses == {
         **dict.fromkeys(("damaged_lines", "refused_lines", "damaged_answers", "missing_status"), 0),
@@ -237,7 +237,7 @@ def test_speeds_of_the_status_have_the_newest_state() -> None:
     assert rows(line.feed(RX, text(status(700), status(1400)), MS)) == [(100.0, 300.0, 0), (200.0, 300.0, 0)]
     word = KNOWN | 1 << 8
     found = line.feed(RX, text(status(700)) + can_answer() + text(status(1400)), 2 * MS)
-    assert rows(found) == [(300.0, 300.0, word), (100.0, 300.0, word), (200.0, 300.0, word)]
+    assert rows(found) == [(100.0, 300.0, 0), (300.0, 300.0, word), (200.0, 300.0, word)]
     assert rows(line.feed(RX, text(status(-700)), 3 * MS)) == [(-100.0, 300.0, word)]
     assert line.status_watch.count == 5
 
