@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
+from itertools import chain
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
     from live.foxglove.session_connection import FoxgloveConnection
     from live.session_page import LivePage
 
-_BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+_BEFORE_POINTS = (("ring-down-x", "ring-down-y"), ("run-up",), ("spin-down",))
+"""Tests before the points, in the order of their fits; a group is fitted together."""
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
@@ -130,7 +132,8 @@ def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) ->
 def _steps(rig: Rig) -> list[str]:
     tests = possible_tests(rig)
     points = [test for test in tests if point_of(test)]
-    return ["start", *(test for test in _BEFORE_POINTS if test in tests), "identify", *points, "report"]
+    before = [test for test in chain(*_BEFORE_POINTS) if test in tests]
+    return ["start", *before, "identify", *points, "report"]
 
 
 def _parse_fault(text: str, rig: Rig) -> TruthChange:
@@ -196,7 +199,7 @@ class _Campaign:
         """Run the campaign and return its result."""
         setup = self._setup
         self._progress.step("start")
-        wanted = (*_BEFORE_POINTS, *(f"point-{name}" for name in setup.rig.points))
+        wanted = (*chain(*_BEFORE_POINTS), *(f"point-{name}" for name in setup.rig.points))
         if left_out := [test for test in wanted if test not in self._steps]:
             self._progress.notify(f"no device for: {', '.join(left_out)}")
         with setup.far as simulated:
@@ -210,32 +213,34 @@ class _Campaign:
                 follow_session(setup.connection, session)
                 label = self._record_all(tests, plugged)
             radio = simulated.ask("state")
-        result = self._conclude(plugged, truth, label)
-        result["radio"] = _radio_checks(self._logs, radio)
+        result = self._conclude(plugged, truth, label, radio)
         result["warnings"] += [session.rotor_warning] if session.rotor_warning else []
         return result
 
     def _record_all(self, tests: Procedures, plugged: Rig) -> str:
         """Record the tests before the points, identify from them, record the points; return the parameters' name."""
-        for test in (step for step in self._steps if step in _BEFORE_POINTS):
-            self._record(tests, plugged, test)
+        workbench, refinements = self._workbench, self._refinements
+        for fitted in _BEFORE_POINTS:
+            logs = [self._record(tests, plugged, test) for test in fitted if test in self._steps]
+            refinements += [workbench.refine(plugged, logs)] if logs else []
         self._begin("identify")
         parameters = self._setup.folder / "parameters-before-points.toml"
-        self._workbench.wait(self._workbench.identify(plugged, self._logs, parameters), self._progress.update)
+        workbench.wait(workbench.identify(plugged, parameters), self._progress.update)
         label = IdentifiedParameters.label(parameters)
         identified = with_parameters(plugged, IdentifiedParameters.load(parameters))
         for point in (step for step in self._steps if point_of(step)):
-            self._record(tests, identified, point, label)
-            self._refinements.append(self._workbench.refine(plugged, self._logs[-1]))
+            refinements.append(workbench.refine(plugged, [self._record(tests, identified, point, label)]))
         return label
 
-    def _record(self, tests: Procedures, rig: Rig, test: str, parameters: str = "") -> None:
+    def _record(self, tests: Procedures, rig: Rig, test: str, parameters: str = "") -> Path:
+        """Record a test and return its log."""
         self._begin(test)
         done = run_test(tests, rig, test, parameters)
         self._done.append(done)
         if done.missed:
             self._progress.notify(ending_words(done))
         self._logs.append(done.log)
+        return done.log
 
     def _begin(self, step: str) -> None:
         """Start a step and place its faults."""
@@ -244,8 +249,10 @@ class _Campaign:
             self._setup.far.ask("set", key=fault.key, value=fault.value)
             self._progress.notify(f"fault: {fault.key} = {fault.value} before {step}")
 
-    def _conclude(self, plugged: Rig, truth: dict[str, Any], parameters: str) -> dict[str, Any]:
-        """Validate, write parameters and report, and return the result."""
+    def _conclude(
+        self, plugged: Rig, truth: dict[str, Any], parameters: str, radio: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Validate, write parameters and report, compare the radio's counts meanwhile, and return the result."""
         setup, progress, workbench = self._setup, self._progress, self._workbench
         progress.step("report")
         assert setup.rig.virtual is not None
@@ -260,8 +267,9 @@ class _Campaign:
             workbench.wait(refinement, progress.update)
         progress.update("writing the report")
         job = workbench.conclude(plugged, setup.folder / "parameters.toml", report, facts)
+        checks = _radio_checks(self._logs, radio)
         result = workbench.wait(job, progress.update)
-        result["truth"] = truth
+        result["radio"], result["truth"] = checks, truth
         result["logs"] = [str(path) for path in self._logs]
         result["not_reached"] = {done.test: done.missed for done in self._done if done.missed}
         result["warnings"] += [f"{done.test}: {warning}" for done in self._done for warning in done.warnings]

@@ -25,43 +25,43 @@ def _notify(text: str) -> None:
 
 def _begin_work(messages: Queue[str]) -> None:
     """Prepare the worker before its first job: send progress messages to a queue."""
-    _worker["messages"] = messages
+    _worker.update(messages=messages, runs=[], joint=None)
 
 
 def _warm_up() -> None:
-    """Import and compile while the first tests are recorded."""
+    """Import and compile what the conclusion needs, while the points are being recorded."""
     import numpy as np
 
     from dynamics import SpeedHistory, simulate, steady_states
     from dynamics.equations.scene import Scene
     from rig_configs import load_rig
 
-    for module in ("analysis.report.write", "analysis.validation", "identification"):
+    for module in ("analysis.report.write", "analysis.validation"):
         importlib.import_module(module)
     physics = load_rig("virtual").physics
     simulate(physics, Scene(SpeedHistory.constant(30.0)), np.linspace(0, 0.1, 11))
     steady_states(physics, 30.0)
 
 
-def _identify(rig: Rig, logs: list[Path], out: Path) -> dict[str, Any]:
+def _refine(rig: Rig, logs: list[Path]) -> None:
+    """Add tests to the joint estimate. Tests that determine nothing wait for further ones."""
+    from identification import NotIdentifiable, identify
+    from studies.runs import load_runs
+
+    _worker["runs"] += load_runs(logs)
+    with contextlib.suppress(NotIdentifiable):  # usual: `_identify` reports what is missing
+        _worker["joint"] = identify(_worker["runs"], rig, _notify, earlier=_worker["joint"])
+
+
+def _identify(rig: Rig, out: Path) -> dict[str, Any]:
+    """Write the joint estimate as that before the points."""
     from identification import identify
     from rig_cli import results
-    from studies.runs import load_runs
 
-    runs = load_runs(logs)
-    found = identify(runs, rig, _notify)
+    found = identify(_worker["runs"], rig, _notify, earlier=_worker["joint"])
     results.with_version(found.parameters).save(out)
-    _worker.update(runs=runs, before=found, joint=found)
+    _worker.update(before=found, joint=found)
     return results.identification_json(found)
-
-
-def _refine(rig: Rig, log: Path) -> None:
-    """Add one point's release to the joint estimate."""
-    from identification import identify
-    from studies.runs import load_runs
-
-    _worker["runs"] += load_runs([log])
-    _worker["joint"] = identify(_worker["runs"], rig, _notify, earlier=_worker["joint"])
 
 
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
@@ -97,15 +97,16 @@ class Workbench:
         self._messages: Queue[str] = WORKERS.Queue()
         self._ending = contextlib.ExitStack()
         self._pool = self._ending.enter_context(worker_pool(1, _begin_work, self._messages))
+
+    def refine(self, rig: Rig, logs: list[Path]) -> Future[None]:
+        """Add tests to the joint estimate, while the next ones are being recorded."""
+        return self._pool.submit(_refine, rig, logs)
+
+    def identify(self, rig: Rig, out: Path) -> Future[dict[str, Any]]:
+        """Write the estimate from the tests so far to parameters.toml, as that before the points."""
+        job = self._pool.submit(_identify, rig, out)
         self._pool.submit(_warm_up)
-
-    def identify(self, rig: Rig, logs: list[Path], out: Path) -> Future[dict[str, Any]]:
-        """Identify from the tests before the points and write parameters.toml."""
-        return self._pool.submit(_identify, rig, logs, out)
-
-    def refine(self, rig: Rig, log: Path) -> Future[None]:
-        """Add a point's release to the joint estimate, while the next point is being recorded."""
-        return self._pool.submit(_refine, rig, log)
+        return job
 
     def conclude(self, rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> Future[dict[str, Any]]:
         """Validate, write joint parameters and report."""

@@ -22,6 +22,7 @@ _MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
 _SECOND_LIMITS = SettlingLimits()
+_LOOK_S = _SECOND_LIMITS.window_s  # a decision changes with its newest window
 _BEFORE_RELEASE_S = 4.0
 _AFTER_RELEASE_S = 3.0  # after the release before the first look, s
 _AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, s
@@ -50,6 +51,7 @@ def point_states(
             "steady orbit",
             waits_for="an orbit of steady amplitude",
             look=orbit_steady,
+            period_s=_LOOK_S,
             rpm=rpm,
             usual_s=12.0,
             limit_s=_MAX_LOCKED_STEADY_S,
@@ -112,6 +114,7 @@ def settle_state(
         "settle",
         waits_for="pendulums and orbit to be steady, and a second look",
         look=all_steady,
+        period_s=_LOOK_S,
         rpm=rpm,
         usual_s=30.0,
         limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S,

@@ -9,7 +9,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import rk4_step
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.friction_steps import friction_step
 from dynamics.motions.integrate import fastest_rate
@@ -73,7 +72,6 @@ def _advance(
     n: int,
     substeps: int,
     p: Array,
-    has_friction: bool,
     free: Array,
     held: bool,
     held_at: Array,
@@ -89,7 +87,6 @@ def _advance(
         phase: ψ, ω, α, shape (3,); changed in place.
         n, substeps: number of grid steps, and of integration steps in each of them.
         p: packed parameters (`RotorParameters.packed`).
-        has_friction: whether the pendulums have dry friction.
         free: 1 for a free pendulum, 0 for a locked one, shape (2,).
         held, held_at: whether the column is held, and its displacement, m, shape (2,).
         angles: positions of the locks, rad, shape (2,).
@@ -105,10 +102,7 @@ def _advance(
         for _ in range(substeps):
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[1])
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[2])
-            if has_friction:
-                friction_step(y, h, ph[0], ph[1], ph[2], p, free, modes, signed, k[0], k[1], k[2], k[3], k[4])
-            else:
-                rk4_step(y, h, ph[0], ph[1], ph[2], p, free[0], free[1], k[0], k[1], k[2], k[3], k[4])
+            friction_step(y, h, ph[0], ph[1], ph[2], p, free, modes, signed, k[0], k[1], k[2], k[3], k[4])
             ph[0] = ph[2]
         _constrain(y, free, held, held_at, angles, drift)
         for j in range(8):
@@ -264,7 +258,6 @@ class SimulatedMotion:
             n,
             substeps,
             self.physics.packed(),
-            self.physics.has_friction,
             self._free,
             self._held,
             self._held_at,

@@ -21,6 +21,7 @@ from rig_configs.schema import Radio
 _NODE = 1
 _MECHANISM_S = 0.05  # time from a release command to the open lock
 _MAX_LOCKING_RAD_S = 0.5  # locking is refused above this speed
+_NONE = np.empty(0, np.int64), np.empty((0, 2), np.int32)  # numbers and counts of no samples
 
 
 class Air:
@@ -138,8 +139,7 @@ class SimulatedNode(FarEnd):
         self._period = 1.0 / config.rate_Hz
         self._next = 0
         self._index = 0
-        self._pending: list[NDArray[np.int32]] = []
-        self._pending_first_s = 0.0
+        self._pending: tuple[NDArray[np.int64], NDArray[np.int32]] = _NONE  # numbers and counts before the next block
         self._seq = 0
         self._dongle_seq = 0
         self._status_due = self._dongle_due = 0.0
@@ -288,7 +288,7 @@ class SimulatedNode(FarEnd):
         if on:
             self._clock.reset(now_s)
             self._next = self._index = self._seq = 0
-            self._pending = []
+            self._pending = _NONE
             self._acted.clear()
             self._due.clear()
 
@@ -349,15 +349,15 @@ class SimulatedNode(FarEnd):
         exact = angles * self._config.counts_per_revolution / (2 * math.pi) - self._offset_counts
         exact += self._noise * self._rng.standard_normal(exact.shape)
         counts = np.floor(exact + 0.5).astype(np.int64).astype(np.int32)
+        before, size = len(self._pending[0]), self.samples_per_block
+        numbers, counts = np.concatenate([self._pending[0], numbers]), np.concatenate([self._pending[1], counts])
+        whole = len(numbers) - len(numbers) % size
+        self._pending = numbers[whole:], counts[whole:]
         out: list[tuple[float, Callable[[], None]]] = []
-        for k in range(len(numbers)):
-            if not self._pending:
-                self._pending_first_s = float(numbers[k] * self._period)
-            self._pending.append(counts[k])
-            if len(self._pending) == self.samples_per_block:
-                block, first = np.array(self._pending), self._pending_first_s
-                self._pending = []
-                out.append((float(times[k]), lambda b=block, f=first, t=float(times[k]): self._block(t, f, b)))
+        for first in range(0, whole, size):
+            block, first_s = counts[first : first + size], float(numbers[first] * self._period)
+            sent_s = float(times[first + size - 1 - before])
+            out.append((sent_s, lambda t=sent_s, f=first_s, b=block: self._block(t, f, b)))
         return out
 
     def _block(self, time_s: float, first_s: float, counts: NDArray[np.int32]) -> None:

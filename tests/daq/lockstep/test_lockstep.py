@@ -158,7 +158,7 @@ def test_samples_that_wait_behind_a_gap_are_in_a_log_that_ends_meanwhile(tmp_pat
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
         times = log["laser/x"].time_ns
-        assert (end_ns - times[-1]) * 1e-9 < 0.06
+        assert (end_ns - times[-1]) * 1e-9 < STEP_S[1] + 0.03
         assert np.sum(np.diff(times) > 0.25e9) == 1
         lost = [event["samples"] for event in log.events if event["kind"] == "gap" and event["device"] == "east"]
     assert sum(lost) == pytest.approx(0.3 * 4000, abs=12)
