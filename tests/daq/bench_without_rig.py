@@ -22,16 +22,22 @@ from rig_configs.schema import Rig
 
 
 class Clock:
-    """Time that passes only while a thread sleeps."""
+    """Time that passes only while a thread sleeps.
+
+    Attributes:
+        does: called after each sleep.
+    """
 
     def __init__(self) -> None:
         self.ns = 1_700_000_000_000_000_000
+        self.does: Callable[[], None] = lambda: None
 
     def now_ns(self) -> int:
         return self.ns
 
     def wait(self, seconds: float) -> None:
         self.ns += int(seconds * 1e9)
+        self.does()
 
 
 class NoRates:
@@ -200,6 +206,15 @@ def finished(
         return runner_of(bench, controls, folder).run(asked, table, {})
     except (DeviceError, ProcedureError) as error:
         return error
+
+
+def reached_its_log(
+    bench: Bench, asked: GuidedTestRequest, table: StateTable, controls: Controls, folder: Path
+) -> TestDone:
+    """As `finished`, of a run that has a log."""
+    done = finished(bench, asked, table, controls, folder)
+    assert isinstance(done, TestDone)
+    return done
 
 
 def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[State, StateView], StateObservation]:

@@ -6,9 +6,7 @@ from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.least_motion import LeastMotion
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
-from daq.drivers.rotorlink.far_end import SimulatedNode
 from daq.items import RX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, encode, open_bus
 from daq.virtual_rig.rig import SimulatedRig
@@ -30,8 +28,6 @@ class Bench:
         self.rig = load_rig("virtual", settings=["virtual.seed=5", *settings])
         self.far = SimulatedRig(self.rig)
         drive, node = self.far.far_ends["drive"], self.far.far_ends["encoder"]
-        assert isinstance(drive, SimulatedDrive)
-        assert isinstance(node, SimulatedNode)
         self.drive, self.node = drive, node
         self.pipelines = make_pipelines(self.rig.devices, {})
         self.interlocks = Interlocks(self.rig.limits, self.rig.roles, LeastMotion.of(self.rig), driving=True)

@@ -17,6 +17,7 @@ from daq.drivers.devices import make_pipelines
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, TX, Batch, DeviceEvent
+from daq.log import Log
 from daq.log.file import LogFile
 from daq.transports.can_frames import CanFrame, encode
 from daq.version import DECODER
@@ -178,3 +179,8 @@ def write_log(
             losses = {name: pipeline.losses for name, pipeline in pipelines.items()}
             return log.finish({"losses": losses, "ended": "duration", "verdict": {"settled": True}})
     return log.part
+
+
+def from_device(log: Log, device: str) -> bytes:
+    """What a device of the log sent."""
+    return b"".join(chunk.data for chunk in log.raw(device) if chunk.direction == RX)

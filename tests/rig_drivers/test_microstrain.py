@@ -32,7 +32,7 @@ from rig_drivers.microstrain.stream import MicroStrainPipeline
 from rig_testing.bench import DriverBench
 from rig_testing.subject import together
 from tests.daq.kit_cases import kit_cases
-from tests.daq.lockstep_log import recorded_at_rest
+from tests.daq.simulated_sessions import recorded_at_rest
 
 NODE, RATE_HZ, UTC_S, S = 307, 256, 1_700_000_000, 1_000_000_000
 RATE_CODE = 105

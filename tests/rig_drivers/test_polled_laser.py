@@ -27,7 +27,7 @@ from rig_drivers.polled_laser.settings import PolledLaser
 from rig_drivers.polled_laser.stream import PolledPipeline
 from rig_testing.bench import DriverBench
 from tests.daq.kit_cases import kit_cases
-from tests.daq.lockstep_log import recorded_at_rest
+from tests.daq.simulated_sessions import recorded_at_rest
 
 MS = 1_000_000
 

@@ -36,7 +36,6 @@ def happens(event: DeviceEvent) -> Scenario:
 def swings_out_of_sight(bench: Bench) -> None:
     """Measured at 9 mm, then invalid for less time than the blind-sensor interlock needs."""
     sensor = bench.rig.roles.along("x")
-    assert sensor is not None
     seen = distance_words.code([0.5 * sensor.range_m + 9e-3 * sensor.lever_ratio], sensor.range_m)
     bench.fails("laser_x", "code", int(seen[0]))
     bench.pass_time(0.06)

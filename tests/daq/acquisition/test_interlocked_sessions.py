@@ -21,17 +21,7 @@ from daq.replay import check
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs.schema import Rig
-
-
-def quiet(text: str, share: float | None) -> None:
-    """No progress in tests."""
-
-
-def turning(session: Session, rpm: float) -> None:
-    session.drive.enable()
-    session.drive.set_ramp(1000)
-    session.drive.set_speed(rpm)
-    session.wait_for(lambda: session.drive.actual_rpm > 0.9 * rpm, 5.0, "the rotor to turn")
+from tests.daq.simulated_sessions import guided, quiet, turn
 
 
 def only_log(folder: Path) -> Path:
@@ -47,7 +37,7 @@ def summary_of(path: Path) -> dict[str, object]:
 def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(simulated: LockstepRig, cabled: Rig) -> None:
     before = simulated.ask("state")["emergencies"]
     with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        turning(session, 300)
+        turn(session, 300)
         assert simulated.ask("state")["watchdog_ms"] >= 500
     state = simulated.ask("state")
     assert (state["watchdog_ms"], state["drive"]) == (0, cia402.SWITCH_ON_DISABLED)
@@ -67,7 +57,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(simulated: LockstepRig
             pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"),
             Session(cabled, simulated.clock, edge=simulated.edge) as session,
         ):
-            Procedures(session, SimulatedOperator(simulated), tmp_path, dies).run_up(600.0, 25.0)
+            guided(session, simulated, tmp_path, dies).run_up(600.0, 25.0)
     finally:
         simulated.ask("fail", device="encoder", what="dead", value=0)
     assert simulated.ask("state")["speed_rpm"] < 0.5
@@ -89,7 +79,7 @@ def test_a_drive_that_restarts_is_named_at_once(simulated: LockstepRig, cabled: 
     restarted = r"drive: the drive started again \(boot-up"
     with pytest.raises(DeviceError, match=restarted), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        turning(session, 300)
+        turn(session, 300)
         simulated.ask("fail", device="drive", what="restart")
         try:
             session.rotor.wait_for_rest(30.0)
@@ -123,7 +113,7 @@ def test_a_fault_is_reported_with_its_emergency(simulated: LockstepRig, cabled: 
     fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
     with pytest.raises(ProcedureError, match=fault), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        turning(session, 200)
+        turn(session, 200)
         simulated.ask("fail", device="drive", what="fault", value=0x3220)
         session.wait_for(lambda: False, 5.0, "nothing")
     assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
@@ -141,7 +131,7 @@ def test_a_rotor_that_still_turns_at_the_end_is_reported(
         Session(cabled, simulated.clock, edge=simulated.edge, notify=messages.append) as session,
     ):
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        turning(session, 300)
+        turn(session, 300)
         simulated.ask("fail", device="drive", what="fault", value=0x3220)  # without torque the rotor coasts
     assert simulated.ask("state")["watchdog_ms"] > 0
     assert still in str(summary_of(tmp_path / "a.mcap")["ended"])
@@ -181,9 +171,8 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(
 ) -> None:
     with Session(plugged, virtual_rig.clock) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        turning(session, 300)
+        turn(session, 300)
         recorder = session.recording.recorder
-        assert recorder is not None
         held, released = threading.Event(), threading.Event()
 
         def hold() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import pytest
 
@@ -14,9 +15,9 @@ from daq.acquisition.observation import observe
 from daq.acquisition.session import Session
 from daq.acquisition.tap import tap_test
 from daq.drivers.checks import Checks
-from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
+from tests.daq.simulated_sessions import opened
 from tests.effort import thorough
 
 SECONDS = 2.0
@@ -76,22 +77,62 @@ def test_a_healthy_rig_passes(seed: int) -> None:
     assert failed(checked([f"virtual.seed={seed}"], tap=True, seconds=LONG_S)) == {}
 
 
-def test_swapped_lasers_are_found_by_a_tap() -> None:
-    found = failed(checked(swapped=True, tap=True))
-    assert set(found) == {"laser_x direction_deg", "laser_y direction_deg"}
-    assert "exchange the ports of laser_x and laser_y" in found["laser_x direction_deg"]
+def _fault(far: LockstepRig, device: str, what: str, **more: float) -> None:
+    far.ask("fail", device=device, what=what, **more)
 
 
-def test_a_laser_that_looks_the_other_way_is_found_by_a_tap() -> None:
-    found = failed(
-        checked(
-            ["devices.laser_x.direction_deg=180", "devices.laser_y.direction_deg=270"],
-            ["devices.laser_x.direction_deg=0", "devices.laser_y.direction_deg=90"],
-            tap=True,
-        )
-    )
-    assert set(found) == {"laser_x direction_deg", "laser_y direction_deg"}
-    assert "direction_deg = 180" in found["laser_x direction_deg"]
+def _drift(far: LockstepRig, device: str, drift: float) -> None:
+    laser = far.far.far_ends[device]
+    laser.beam.clock.drift = drift
+
+
+@pytest.mark.parametrize(
+    ("how", "expected", "words"),
+    [
+        (
+            {"swapped": True, "tap": True},
+            "laser_x direction_deg, laser_y direction_deg",
+            "exchange the ports of laser_x and laser_y",
+        ),
+        (
+            {
+                "true": ["devices.laser_x.direction_deg=180", "devices.laser_y.direction_deg=270"],
+                "stated": ["devices.laser_x.direction_deg=0", "devices.laser_y.direction_deg=90"],
+                "tap": True,
+            },
+            "laser_x direction_deg, laser_y direction_deg",
+            "direction_deg = 180",
+        ),
+        (
+            {"prepare": lambda far: _fault(far, "laser_x", "code", value=33_000)},
+            "laser_x equal_samples",
+            "the sensor hangs",
+        ),
+        ({"stated": ["devices.laser_y.serial=12345"]}, "laser_y opened", "serial number 12345 is expected"),
+        ({"prepare": lambda far: far.far.motion.lock(1, -math.pi)}, "encoder locked_B_deg", ""),
+        (
+            {"prepare": lambda far: _drift(far, "laser_x", 500e-6), "seconds": LONG_S},
+            "laser_x clock_ppm, laser_x rate_Hz",
+            "",
+        ),
+        (
+            {"true": ["devices.encoder.rate_Hz=500"], "stated": ["devices.encoder.rate_Hz=1000"]},
+            "encoder rate_Hz",
+            "",
+        ),
+        (
+            {"true": ["virtual.sensors.hum_m=20e-6"], "seconds": LONG_S},
+            "laser_x steady_lines_um, laser_y steady_lines_um",
+            "mains hum",
+        ),
+        ({"true": ["virtual.sensors.laser_noise_m=30e-6"]}, "laser_x noise_um, laser_y noise_um", ""),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_one_fault_is_found_and_no_other(how: dict[str, Any], expected: str, words: str) -> None:
+    found = failed(checked(**how))
+    assert ", ".join(sorted(found)) == expected
+    assert words in min(found.items())[1]
 
 
 def test_a_wrong_range_is_found_and_the_other_devices_are_still_checked() -> None:
@@ -99,18 +140,6 @@ def test_a_wrong_range_is_found_and_the_other_devices_are_still_checked() -> Non
     assert set(failed(found)) == {"laser_x opened"}
     assert "25 mm in the sensor" in failed(found)["laser_x opened"]
     assert not found["laser_y"]["rate_Hz"].failed
-
-
-def test_a_laser_that_hangs_is_found() -> None:
-    found = failed(checked(prepare=lambda far: _fault(far, "laser_x", "code", value=33_000)))
-    assert set(found) == {"laser_x equal_samples"}
-    assert "the sensor hangs" in found["laser_x equal_samples"]
-
-
-def test_a_wrong_serial_number_is_found() -> None:
-    found = failed(checked(stated=["devices.laser_y.serial=12345"]))
-    assert set(found) == {"laser_y opened"}
-    assert "serial number 12345 is expected" in found["laser_y opened"]
 
 
 def test_a_missing_device_is_found_and_the_others_are_still_checked() -> None:
@@ -125,10 +154,6 @@ def test_a_silent_device_is_found_and_the_others_are_still_checked(device: str) 
     assert set(found) == {f"{device} opened"}
 
 
-def _fault(far: LockstepRig, device: str, what: str, **more: float) -> None:
-    far.ask("fail", device=device, what=what, **more)
-
-
 def test_a_time_out_that_is_not_what_the_drive_states_is_found() -> None:
     found = checked(prepare=lambda far: _fault(far, "drive", "time-out", value=3.0))
     assert set(failed(found)) == {"drive time_out_s"}
@@ -138,42 +163,12 @@ def test_a_time_out_that_is_not_what_the_drive_states_is_found() -> None:
 
 
 def test_the_heartbeat_is_sent_again_after_the_measurement() -> None:
-    rig = load_rig("virtual")
-    far = LockstepRig(rig)
-    with Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge) as session:
+    _, session = opened("virtual")
+    with session:
         assert observe(session, 1.0).time_out.measured_s == pytest.approx(0.5, abs=0.05)
         session.drive.enable()
         session.clock.wait(2.0)
         assert session.drive.enabled
-
-
-def test_b_locked_at_the_place_of_a_is_found() -> None:
-    found = failed(checked(prepare=lambda far: far.far.motion.lock(1, -math.pi)))
-    assert set(found) == {"encoder locked_B_deg"}
-
-
-def test_a_clock_off_by_500_ppm_is_found() -> None:
-    found = failed(checked(prepare=lambda far: _drift(far, "laser_x", 500e-6), seconds=LONG_S))
-    assert set(found) == {"laser_x clock_ppm", "laser_x rate_Hz"}
-
-
-def _drift(far: LockstepRig, device: str, drift: float) -> None:
-    laser = far.far.far_ends[device]
-    assert isinstance(laser, SimulatedLaser)
-    laser.beam.clock.drift = drift
-
-
-def test_a_wrong_rate_is_found() -> None:
-    found = failed(checked(["devices.encoder.rate_Hz=500"], ["devices.encoder.rate_Hz=1000"]))
-    assert set(found) == {"encoder rate_Hz"}
-
-
-def test_a_noisy_supply_is_found() -> None:
-    found = failed(checked(["virtual.sensors.hum_m=20e-6"], seconds=LONG_S))
-    assert set(found) == {"laser_x steady_lines_um", "laser_y steady_lines_um"}
-    assert "mains hum" in found["laser_x steady_lines_um"]
-    wide = failed(checked(["virtual.sensors.laser_noise_m=30e-6"]))
-    assert set(wide) == {"laser_x noise_um", "laser_y noise_um"}
 
 
 def test_a_radio_that_loses_a_fifth_is_found() -> None:
@@ -184,11 +179,7 @@ def test_a_radio_that_loses_a_fifth_is_found() -> None:
 
 def test_a_drive_that_is_set_up_and_sends_no_reports_is_stopped_at_the_end() -> None:
     """It was commanded, so the end of the check removes its torque and its watch, and ends the heartbeat."""
-    rig = load_rig("virtual")
-    far = LockstepRig(rig)
-    session = Session(
-        load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge, policy=Policy(lenient=True)
-    )
+    far, session = opened("virtual", policy=Policy(lenient=True))
     _fault(far, "drive", "silent reports")
     with session:
         observe(session, 1.0)
@@ -198,10 +189,7 @@ def test_a_drive_that_is_set_up_and_sends_no_reports_is_stopped_at_the_end() -> 
 
 
 def test_a_device_without_a_port_does_not_stop_the_commands_of_the_others() -> None:
-    far = LockstepRig(load_rig("virtual"))
-    session = Session(
-        load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge, policy=Policy(lenient=True)
-    )
+    far, session = opened("virtual", policy=Policy(lenient=True))
     far.cables["laser_x"].cut()
     with session:
         session.clock.wait(5.0)  # longer than a silent line

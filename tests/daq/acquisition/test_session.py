@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,13 +30,13 @@ from rig_cli.demo import _radio_check
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
+from tests.daq.simulated_sessions import guided, quiet, turn
 from tests.effort import thorough
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and ptys need POSIX")
 
 
-def quiet(text: str, share: float | None) -> None:
-    """No progress in tests."""
+Happening = Callable[[Session, LockstepRig], object]
 
 
 def test_a_recorded_test_holds_raw_and_decoded_and_replays_exactly(
@@ -70,7 +71,7 @@ def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
     simulated: LockstepRig, cabled: Rig, tmp_path: Path
 ) -> None:
     with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        done = Procedures(session, SimulatedOperator(simulated), tmp_path, quiet).run_down(600.0, 20.0)
+        done = guided(session, simulated, tmp_path).run_down(600.0, 20.0)
     assert done.summary["reached_rest"] is True
     assert done.missed == ""
     assert simulated.ask("state")["speed_rpm"] < 1
@@ -96,30 +97,15 @@ def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(simulated: Lo
         pass
 
 
-def test_locking_is_refused_while_the_rotor_turns(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with Session(plugged, virtual_rig.clock) as session:
+def test_locking_is_refused_while_the_rotor_turns(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
         session.rotor.command_locks("release both")
-        session.drive.enable()
-        session.drive.set_speed(120)
-        session.wait_for(lambda: session.drive.actual_rpm > 100, 5.0, "the rotor to turn")
+        turn(session, 120)
         with pytest.raises(DeviceError, match="refused"):
             session.rotor.command_locks("lock both")
         session.drive.set_speed(0)
         session.wait_for(lambda: session.drive.actual_rpm == 0, 5.0, "the rotor to stop")
         session.rotor.command_locks("lock both")
-
-
-@needs_posix
-def test_a_pulled_cable_is_reported_and_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        session.drive.set_speed(300)
-        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        simulated.ask("unplug", device="laser_y")
-        with pytest.raises(LinkLost, match="cable"):
-            session.wait_for(lambda: False, 5.0, "nothing")
-        simulated.clock.wait(3.0)
-        assert simulated.ask("state")["speed_rpm"] < 1
 
 
 _RECORD_SPINNING = """
@@ -145,7 +131,6 @@ while True:
 def recording_host(path: Path, rig: VirtualRigProcess, *wrapper: str) -> subprocess.Popen[str]:
     command = [*wrapper, sys.executable, "-c", _RECORD_SPINNING, str(path), *rig.port_settings()]
     host = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert host.stdout is not None
     assert host.stdout.readline().strip() == "recording"
     return host
 
@@ -226,53 +211,28 @@ def test_ptys_and_tcp_ports_carry_the_same_rig(tmp_path: Path) -> None:
         assert [r.topic for r in check(done.log) if r.difference] == []
 
 
-def test_the_drive_reports_its_states_on_the_way_to_operation(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        assert session.drive.state == cia402.OPERATION_ENABLED
-        session.drive.disable()
-        session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")
-
-
-def test_a_drive_that_stops_by_itself_ends_the_test(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        session.drive.set_speed(300)
-        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        session.drive._repeated["heartbeat"].stop()  # the host's heartbeat falls silent
-        with pytest.raises(ProcedureError, match="without a command"):
-            session.wait_for(lambda: False, 5.0, "nothing")
-        assert simulated.ask("state")["drive"] != cia402.OPERATION_ENABLED
-
-
-@needs_posix
-def test_a_device_that_falls_silent_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        session.drive.set_speed(300)
-        session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
-        session.devices.send("laser_x", b"OUTPUT NONE\n")  # the link stays, the samples end
-        with pytest.raises(DeviceError, match="laser/x: silent"):
-            session.wait_for(lambda: False, 10.0, "nothing")
+@pytest.mark.parametrize(
+    ("rpm", "happens", "error", "words"),
+    [
+        (300, lambda session, sim: sim.ask("unplug", device="laser_y"), LinkLost, "cable"),
+        (300, lambda session, sim: session.drive._repeated["heartbeat"].stop(), ProcedureError, "without a command"),
+        (300, lambda session, sim: session.devices.send("laser_x", b"OUTPUT NONE\n"), DeviceError, "laser/x: silent"),
+        (
+            60,
+            lambda session, sim: sim.ask("pluck", x_mm=12.2, y_mm=0, hold_s=1.0),
+            ProcedureError,
+            r"laser/x: .* mm, limits\.amplitude_m is 11 mm",
+        ),
+    ],
+)
+def test_what_happens_to_a_device_stops_a_turning_rotor(
+    simulated: LockstepRig, cabled: Rig, rpm: float, happens: Happening, error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
+        turn(session, rpm)
+        happens(session, simulated)
+        session.wait_for(lambda: False, 10.0, "nothing")
     assert simulated.ask("state")["speed_rpm"] < 0.5
-
-
-def test_closing_a_session_at_speed_stops_the_rotor_first(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        session.drive.set_speed(400)
-        session.wait_for(lambda: session.drive.actual_rpm > 300, 5.0, "the rotor to turn")
-    assert simulated.ask("state")["speed_rpm"] < 1
-
-
-def test_too_much_displacement_stops_the_rotor(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        session.drive.set_speed(60)
-        session.wait_for(lambda: session.drive.actual_rpm > 50, 5.0, "the rotor to turn")
-        simulated.ask("pluck", x_mm=12.2, y_mm=0, hold_s=1.0)
-        with pytest.raises(ProcedureError, match=r"laser/x: .* mm, limits\.amplitude_m is 11 mm"):
-            session.wait_for(lambda: False, 5.0, "nothing")
 
 
 def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> None:
@@ -289,7 +249,6 @@ def test_the_virtual_rig_ends_with_its_parent_process() -> None:
         "rig = VirtualRigProcess('virtual', [])\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
     )
     starter = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
-    assert starter.stdout is not None
     child = int(starter.stdout.readline())
     starter.kill()
     starter.communicate()
@@ -356,3 +315,11 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
         assert opened.complete
         assert opened.missing == []
         assert len(opened["laser/x"]) > 1000
+
+
+def test_the_drive_reports_its_states_on_the_way_to_operation(simulated: LockstepRig, cabled: Rig) -> None:
+    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
+        session.drive.enable()
+        assert session.drive.state == cia402.OPERATION_ENABLED
+        session.drive.disable()
+        session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")

@@ -10,9 +10,9 @@ from hypothesis import given, strategies as st
 from daq.acquisition.life import LISTENING, TRANSITIONS, Life, Stage, Step, guarded
 from daq.acquisition.session import Session
 from daq.errors import AcquisitionError, OperatorStop
-from daq.lockstep.rig import LockstepRig
 from daq.transports import HostClock
 from rig_configs import load_rig
+from tests.daq.simulated_sessions import opened
 
 
 @given(st.lists(st.sampled_from(Step), max_size=20))
@@ -62,8 +62,7 @@ def test_the_policy_decides_how_a_session_begins(tmp_path: Path) -> None:
 
 
 def test_a_session_watches_records_and_closes(tmp_path: Path) -> None:
-    far = LockstepRig(load_rig("virtual"))
-    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    _, session = opened("virtual")
     stages = [session.life.stage]
     with session:
         stages.append(session.life.stage)
@@ -76,8 +75,7 @@ def test_a_session_watches_records_and_closes(tmp_path: Path) -> None:
 
 
 def test_a_requested_stop_is_carried_out_by_the_next_check() -> None:
-    far = LockstepRig(load_rig("virtual"))
-    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    _, session = opened("virtual")
     with pytest.raises(OperatorStop, match="enough"), session:  # noqa: PT012
         session.request_stop("enough")
         assert session.trouble is None

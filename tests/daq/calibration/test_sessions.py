@@ -14,7 +14,7 @@ from daq.guided_tests.hands import CommandedLocks
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
-from rig_configs.device import DisplacementSettings
+from tests.daq.simulated_sessions import opened
 
 RIG = "one_laser"
 TRUE_GAIN = ["devices.probe.gain_factor=1.003", "virtual.sensors.draw_calibration=false", "virtual.seed=4"]
@@ -54,7 +54,6 @@ def calibrated(operator: type[SimulatedOperator], *settings: str, setup: SensorS
     with Session(rig, far.clock, edge=far.edge) as session:
         readings = read_positions(session, "probe", POSITIONS, operator(far), setup, lambda text: None)
     sensor = rig.devices["probe"]
-    assert isinstance(sensor, DisplacementSettings)
     return calibrate(readings, sensor, 0.001, setup)
 
 
@@ -116,9 +115,8 @@ class OtherHand(SimulatedOperator):
 
 
 def encoders(operator: type[SimulatedOperator], zeroed_elsewhere: bool = False) -> EncoderCalibration:
-    far = LockstepRig(load_rig("virtual", settings=["virtual.seed=4"]))
-    rig = load_rig("virtual", settings=["virtual.seed=4", *far.port_settings()])
-    with Session(rig, far.clock, edge=far.edge) as session:
+    far, session = opened("virtual", "virtual.seed=4")
+    with session:
         hand, locks = operator(far), CommandedLocks(session, session.wait_for)
         senses = check_senses(session, hand, locks, lambda text: None)
         if zeroed_elsewhere:

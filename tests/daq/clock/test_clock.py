@@ -156,6 +156,16 @@ def test_a_line_without_jitter_has_the_rate_and_the_offset_of_the_record() -> No
     assert 0.0 < line.rate_std < 1e-8
 
 
+def test_a_record_within_one_sample_period_determines_the_rate_to_half_of_the_error_by_a_step() -> None:
+    """A step of one period in its middle turns the line of a record with equal bins by 1.5 periods over its length."""
+    device_s = 100.0 + np.arange(0.0, 100.0, 0.05)
+    line = fit_line(device_s, 3.0 + device_s * (1 + 2e-5), 50.0, step_s=0.01)
+    own, prior = 0.5 * 1.5 * 0.01 / 100, 50e-6
+    assert line.rate_std == pytest.approx((prior**-2 + own**-2) ** -0.5, rel=0.1)
+    assert line.rate == pytest.approx(2e-5 * prior**2 / (prior**2 + own**2), rel=0.1)
+    assert line.shared_std == pytest.approx(prior * own**2 / (prior**2 + own**2), rel=0.1)
+
+
 @pytest.mark.parametrize("seconds", [6.0, 40.0])
 def test_rate_intervals_hold(seconds: float) -> None:
     rng = np.random.default_rng(11)

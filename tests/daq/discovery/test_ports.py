@@ -33,6 +33,7 @@ from daq.transports import HostClock
 from rig_drivers.labjack import identity
 from rig_drivers.labjack.identity import found as found_labjack
 from rig_drivers.vesc.identity import announced
+from tests.daq.free_ports import free_udp_port
 
 # --- ports ---------------------------------------------------------------------------------------------------------
 
@@ -52,7 +53,6 @@ def test_serial_ports_have_their_usb_identity(monkeypatch: pytest.MonkeyPatch) -
     plain, adapter, nameless = serial_ports()
     assert (plain.device, plain.stable, plain.usb) == ("COM1", "COM1", None)
     assert adapter.usb == UsbIdentity(0x0403, 0x6001, "A50285BI", "FTDI", "FT232R")
-    assert nameless.usb is not None
     assert nameless.usb.number == "16D0:117E"
     assert usb_facts(nameless.usb) == {"number": "16D0:117E"}
     assert usb_facts(None) == {}
@@ -342,12 +342,6 @@ def read(data: bytes, sender: str) -> NetworkDevice | None:
     return NetworkDevice(f"socket://{sender}:1", FoundDevice({}, {"name": data[5:].decode()}))
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 class PromptClock(HostClock):
     """A clock whose time is that of its readings: a wait ends after a number of them."""
 
@@ -361,7 +355,7 @@ class PromptClock(HostClock):
 
 
 def test_a_device_that_announces_itself_is_found_once() -> None:
-    own: Any = Announcing("a", partial(Announcement, free_port(), read, wait_s=5.0))
+    own: Any = Announcing("a", partial(Announcement, free_udp_port(), read, wait_s=5.0))
     stopping = threading.Event()
 
     def send() -> None:

@@ -21,7 +21,7 @@ from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOut
 from daq.guided_tests.test_inputs import requested_test
 from daq.signals.settling import Settling
 from rig_configs import load_rig
-from tests.daq.bench_without_rig import Bench, finished, plays, scripted
+from tests.daq.bench_without_rig import Bench, finished, plays, reached_its_log, scripted
 
 if TYPE_CHECKING:
     from daq.guided_tests.measures import Measures
@@ -129,8 +129,7 @@ def test_an_abort_at_any_instant_skips_neither_the_logs_end_nor_the_rest(
 def test_a_test_that_goes_well_reaches_its_end(name: str, tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
     table = scripted(table_of(name), plays(["done"] * 30, controls, bench))
-    done = finished(bench, ASKED[name], table, controls, tmp_path)
-    assert isinstance(done, TestDone)
+    done = reached_its_log(bench, ASKED[name], table, controls, tmp_path)
     assert (done.missed, done.aborted, done.summary["reached"]) == ("", False, True)
     assert bench.logs[-1]["test"] == ASKED[name].test
 
@@ -145,8 +144,7 @@ def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_bef
             controls.abort("smoke")
         return StateObservation(state.name != "settle")
 
-    done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
-    assert isinstance(done, TestDone)
+    done = reached_its_log(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert done.summary["ended"] == "not reached: aborted by the operator in 'settle': smoke"
     assert bench.commands[-4:] == ["release", "end the log", "rest", "lock"]
 
@@ -186,16 +184,14 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
     controls, bench = Controls(), Bench(RIG)
     seen: list[str] = []
     looks: list[int] = []
-    bench_sleep = bench.clock.wait
 
-    def sleep(seconds: float) -> None:
-        bench_sleep(seconds)
+    def slept() -> None:
         if controls.status.paused:
             seen.append(controls.status.state)
-            bench_sleep(3600.0)
+            bench.clock.ns += 3600 * 10**9
             controls.resume() if len(seen) == 3 else None
 
-    bench.clock.wait = sleep
+    bench.clock.does = slept
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name != "pluck":
@@ -205,8 +201,7 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
             controls.pause()
         return StateObservation(len(looks) == 3)
 
-    done = finished(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
-    assert isinstance(done, TestDone)
+    done = reached_its_log(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
     assert done.missed == ""
     assert seen == ["pluck"] * 3
 
@@ -219,17 +214,12 @@ def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
             controls.pause()
         return StateObservation(state.name != "steady orbit")
 
-    sleep, slept = bench.clock.wait, list[float]()
-
-    def slept_through(seconds: float) -> None:
-        sleep(seconds)
-        slept.append(seconds)
-        assert len(slept) < 1000
+    def slept() -> None:
+        assert bench.clock.ns < start_ns + 10**13
         if controls.status.paused:
             bench.fault = DeviceError("laser/x: silent")
 
-    bench.clock.wait = slept_through
-
+    start_ns, bench.clock.does = bench.clock.ns, slept
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert str(done) == "laser/x: silent"
     assert bench.commands[-1] == "quick stop"
@@ -239,16 +229,14 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
     controls, bench = Controls(), Bench(RIG)
     answers: list[str] = []
     paused: list[str] = []
-    sleep = bench.clock.wait
 
-    def slept(seconds: float) -> None:
-        sleep(seconds)
+    def slept() -> None:
         answers.append(controls.status.answer)
         if controls.status.paused:
             paused.append(controls.status.state)
             controls.resume()
 
-    bench.clock.wait = slept
+    bench.clock.does = slept
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name == "spin up" and not answers:
@@ -305,8 +293,7 @@ def test_a_log_with_a_pre_trigger_begins_when_the_motion_was_seen(before_s: floa
         wanted = requested_test(RIG, name, {"pre_trigger_s": before_s})
         controls, bench = Controls(), Bench(RIG)
         table = scripted(wanted.kind.table(wanted), lambda state, view: StateObservation(True))
-        done = finished(bench, wanted, table, controls, tmp_path)
-        assert isinstance(done, TestDone)
+        reached_its_log(bench, wanted, table, controls, tmp_path)
         after = bench.commands.index("begin the log") > bench.commands.index(motion)
         assert after is (before_s > 0)
 
@@ -398,8 +385,7 @@ def test_a_point_that_is_nearly_steady_at_its_limit_gets_the_time_it_needs(
         return SETTLE.look(replace(view, measures=cast("Measures", Approaching())))
 
     played = scripted(table_of("point"), look, looks=185)
-    done = finished(bench, ASKED["point"], played, Controls(), tmp_path)
-    assert isinstance(done, TestDone)
+    done = reached_its_log(bench, ASKED["point"], played, Controls(), tmp_path)
     assert done.missed == ("" if reached else "what was waited for")
     assert waited == pytest.approx(waited_s, abs=1.1)
 
@@ -413,8 +399,7 @@ def test_an_extension_ends_too(tmp_path: Path) -> None:
             waited = view.in_state_s
         return StateObservation(state.name != "settle", store={"released_ns": 1}, near=True)
 
-    done = finished(bench, ASKED["point"], scripted(table_of("point"), look, looks=185), Controls(), tmp_path)
-    assert isinstance(done, TestDone)
+    done = reached_its_log(bench, ASKED["point"], scripted(table_of("point"), look, looks=185), Controls(), tmp_path)
     assert done.missed == "what was waited for"
     assert waited == pytest.approx(SETTLE.limit_s + SETTLE.extension_s, abs=1.1) == pytest.approx(152.5, abs=1.1)
 

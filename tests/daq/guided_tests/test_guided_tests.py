@@ -27,10 +27,7 @@ from rig_cli.main import run
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import join
-
-
-def quiet(text: str, share: float | None) -> None:
-    """No progress in tests."""
+from tests.daq.simulated_sessions import quiet
 
 
 def test_counters_zeroed_elsewhere_are_refused_until_they_are_zeroed_at_the_locks(

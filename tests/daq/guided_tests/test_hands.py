@@ -27,6 +27,7 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.daq.far_ends import START_NS
+from tests.daq.simulated_sessions import quiet
 
 
 def simulated(name: str) -> tuple[LockstepRig, Rig]:
@@ -42,10 +43,6 @@ def one() -> tuple[LockstepRig, Rig]:
 @pytest.fixture
 def hand() -> tuple[LockstepRig, Rig]:
     return simulated("by_hand")
-
-
-def quiet(text: str, share: float | None) -> None:
-    pass
 
 
 def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[LockstepRig, Rig], tmp_path: Path) -> None:

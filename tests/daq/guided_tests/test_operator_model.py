@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.session import Session
 from daq.errors import AcquisitionError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.motion import StepTrajectory
 from daq.virtual_rig.simulated_operator import SimulatedOperator
-from rig_configs import load_rig
+from tests.daq.simulated_sessions import opened
 from tests.effort import cases
 
 RPM = math.pi / 30
@@ -93,10 +92,9 @@ def drawn(seed: int) -> list[Action]:
 
 @pytest.mark.parametrize("seed", range(cases(7, 200)))
 def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(tmp_path: Path, seed: int) -> None:
-    sim = LockstepRig(load_rig("virtual", settings=[f"virtual.seed={seed}"]))
+    sim, session = opened("virtual", f"virtual.seed={seed}")
     sim.turn_s = (0.004, 0.016)
-    rig = load_rig("virtual", settings=[f"virtual.seed={seed}", *sim.port_settings()])
-    watch, controls, session = Watch(sim), Controls(), Session(rig, sim.clock, edge=sim.edge)
+    watch, controls = Watch(sim), Controls()
     try:
         with session:
             tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None, controls=controls)
@@ -139,9 +137,8 @@ def place(sim: LockstepRig, what: tuple[str, str], at_s: float, seconds: float) 
 
 
 def test_the_watch_sees_what_a_test_never_does() -> None:
-    sim = LockstepRig(load_rig("virtual", settings=["virtual.seed=1"]))
-    rig = load_rig("virtual", settings=["virtual.seed=1", *sim.port_settings()])
-    watch, session = Watch(sim, turns=True), Session(rig, sim.clock, edge=sim.edge)
+    sim, session = opened("virtual", "virtual.seed=1")
+    watch = Watch(sim, turns=True)
     with session:
         session.rotor.command_locks("lock both")
         sim.clock.wait(3.0)

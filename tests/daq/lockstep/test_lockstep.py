@@ -26,15 +26,15 @@ from daq.signals.run import load_run
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Schedule, ScheduledFault, draw, run
+from tests.daq import simulated_sessions
+from tests.daq.simulated_sessions import guided, quiet, recording
 from tests.effort import cases, thorough
 
 SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser", "ethernet_lasers", "analogue_lasers", "can_lasers")
 
 
-def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
-    changes = ["virtual.seed=5", *settings]
-    sim = LockstepRig(load_rig(name, settings=changes))
-    return sim, Session(load_rig(name, settings=[*changes, *sim.port_settings()]), sim.clock, edge=sim.edge)
+def opened(rig: str) -> tuple[LockstepRig, Session]:
+    return simulated_sessions.opened(rig, "virtual.seed=5")
 
 
 # --- the clock ---------------------------------------------------------------------------------------------------
@@ -133,11 +133,9 @@ print(run("virtual", draw(load_rig("virtual"), seed), Path({str(tmp_path / numbe
 @pytest.mark.parametrize("rig", SHIPPED)
 def test_every_shipped_rig_is_recorded_as_in_real_time(rig: str, tmp_path: Path) -> None:
     sim, session = opened(rig)
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+    with recording(session, tmp_path / "a.mcap"):
         sim.clock.wait(3.0)
         session.check()
-        session.stop_recording({})
     assert session.notices == []
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
@@ -148,13 +146,11 @@ def test_every_shipped_rig_is_recorded_as_in_real_time(rig: str, tmp_path: Path)
 
 def test_samples_that_wait_behind_a_gap_are_in_a_log_that_ends_meanwhile(tmp_path: Path) -> None:
     sim, session = opened("other_devices")
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+    with recording(session, tmp_path / "a.mcap"):
         sim.clock.wait(4.0)
         sim.ask("fail", device="east", what="mute", value=1, seconds=0.3)
         sim.clock.wait(0.4)
         end_ns = sim.clock.now_ns()
-        session.stop_recording({})
     assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
     with open_log(tmp_path / "a.mcap") as log:
         times = log["laser/x"].time_ns
@@ -167,7 +163,7 @@ def test_samples_that_wait_behind_a_gap_are_in_a_log_that_ends_meanwhile(tmp_pat
 def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
-        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+        tests = guided(session, sim, tmp_path)
         done = tests.run("ring-down-x", pre_trigger_s=1.5)
     assert done.missed == ""
     assert [row.topic for row in check(done.log) if row.difference] == []
@@ -219,7 +215,7 @@ class Hand(SimulatedOperator):
 def test_a_column_that_is_still_held_has_not_rung_down(seconds: float, tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
-        done = Procedures(session, Hand(sim, (2.5, seconds)), tmp_path, lambda text, share: None).run("ring-down-x")
+        done = Procedures(session, Hand(sim, (2.5, seconds)), tmp_path, quiet).run("ring-down-x")
     assert done.missed == ""
     run = load_run(done.log)
     held = run.x_time_s < run.x_time_s[-1] - 5.0
@@ -244,7 +240,7 @@ def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
         sim.clock.wait(1.0)
         sim.ask("pluck", x_mm=4.0, y_mm=0.0, hold_s=0.2)
         sim.clock.wait(0.5)
-        done = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None).run("ring-down-x")
+        done = guided(session, sim, tmp_path).run("ring-down-x")
     run = load_run(done.log)
     assert np.ptp(run.x_m[run.x_time_s < run.x_time_s[0] + 0.6]) < 3.5e-4
 
@@ -262,14 +258,12 @@ def wait_checking(session: Session, seconds: float) -> None:
 
 def test_an_adapter_on_another_port_is_found_and_the_other_devices_continue(tmp_path: Path) -> None:
     sim, session = opened("virtual")
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+    with recording(session, tmp_path / "a.mcap"):
         sim.clock.wait(1.0)
         sim.ask("unplug", device="laser_x")
         wait_checking(session, 3.0)
         sim.ask("plug", device="laser_x")
         wait_checking(session, 6.0)
-        session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         kinds = [(event["kind"], event.get("of")) for event in log.events if event["kind"] in ("gone", "back")]
         assert kinds == [("gone", "laser_x"), ("back", "laser_x")]
@@ -282,12 +276,10 @@ def test_an_adapter_on_another_port_is_found_and_the_other_devices_continue(tmp_
 
 def test_a_sensor_that_lost_power_is_set_up_again(tmp_path: Path) -> None:
     sim, session = opened("virtual")
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+    with recording(session, tmp_path / "a.mcap"):
         sim.clock.wait(1.0)
         sim.ask("fail", device="laser_y", what="power", value=1, seconds=3.0)
         wait_checking(session, 15.0)
-        session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         y = log["laser/y"].time_ns
         assert (log.end_ns - y[-1]) * 1e-9 < 0.2
@@ -333,8 +325,7 @@ def test_a_measured_value_is_no_other_device(tmp_path: Path, monkeypatch: pytest
 def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A dialogue with a device that was plugged in again would delay the monitoring of the rotor."""
     sim, session = opened("virtual")
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+    with recording(session, tmp_path / "a.mcap"):
         sim.ask("unplug", device="laser_x")
         sim.clock.wait(0.5)
         sim.ask("plug", device="laser_x")
@@ -344,18 +335,6 @@ def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch
             assert list(session._core.gone) == ["laser_x"]
         wait_checking(session, 4.0)
         assert list(session._core.gone) == []
-        session.stop_recording({})
-
-
-def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
-    sim, session = opened("virtual")
-    with pytest.raises(Exception, match="the other end closed"), session:  # noqa: PT012
-        session.drive.enable()
-        session.drive.set_speed(300)
-        session.wait_for(lambda: session.drive.actual_rpm > 250, 5.0, "the speed")
-        sim.ask("unplug", device="laser_x")
-        session.wait_for(lambda: False, 2.0, "the stop")
-    assert abs(sim.far.motion.speed_rad_s) < 0.1
 
 
 @pytest.mark.parametrize("back_s", [0.4, 2.5])
@@ -427,17 +406,14 @@ def test_a_run_without_faults_does_not_trip(tmp_path: Path) -> None:
     assert (result.wrong, result.ended) == ([], "")
 
 
-def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
+def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bits of a line without a checksum are flipped after the judge's record."""
     schedule = Schedule(1, 0.0, 5.0, STEP_S, (ScheduledFault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     honest = run("virtual", schedule, tmp_path)
     assert honest.wrong == []
     (tmp_path / "schedule-1.mcap").unlink()
-    hidden = Schedule(1, 0.0, 5.0, STEP_S, (ScheduledFault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
-    monkey = pytest.MonkeyPatch()
-    monkey.setattr("rig_testing.fault_schedules._SPOILING", ())
-    found = run("virtual", hidden, tmp_path)
-    monkey.undo()
+    monkeypatch.setattr("rig_testing.fault_schedules._SPOILING", ())
+    found = run("virtual", schedule, tmp_path)
     assert any("laser/x" in text or "laser_x" in text for text in found.wrong)
 
 
@@ -481,19 +457,23 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
     assert any("blind for" in text for text in found.wrong)
 
 
-def test_a_trip_during_the_spin_up_is_recorded_although_no_log_had_begun(tmp_path: Path) -> None:
-    """The rotor passes both resonances before a point's log begins."""
-    sim, session = opened("virtual")
-    messages: list[str] = []
+def _dies_in_the_spin_up(sim: LockstepRig, session: Session, folder: Path, messages: list[str]) -> None:
+    """Spin up for a point, whose log begins later, until the encoder dies."""
 
     def dies(text: str, share: float | None) -> None:
         messages.append(text)
         if "spinning up" in text and share is not None and share > 0.5:
             sim.ask("fail", device="encoder", what="dead", value=1.0)
 
-    tests = Procedures(session, SimulatedOperator(sim), tmp_path, dies)
     with pytest.raises(DeviceError, match="pendulums: silent"), session:
-        tests.point("B", 500.0 * np.pi / 30)
+        guided(session, sim, folder, dies).point("B", 500.0 * np.pi / 30)
+
+
+def test_a_trip_during_the_spin_up_is_recorded_although_no_log_had_begun(tmp_path: Path) -> None:
+    """The rotor passes both resonances before a point's log begins."""
+    sim, session = opened("virtual")
+    messages: list[str] = []
+    _dies_in_the_spin_up(sim, session, tmp_path, messages)
     (path,) = tmp_path.glob("*.mcap")
     assert any(path.name in text and "no log had begun" in text for text in messages)
     assert not check(path).channels[0].difference
@@ -515,24 +495,18 @@ def test_a_trip_before_the_log_that_cannot_be_recorded_is_reported(
     sim, session = opened("virtual")
     messages: list[str] = []
 
-    def dies(text: str, share: float | None) -> None:
-        messages.append(text)
-        if "spinning up" in text and share is not None and share > 0.5:
-            sim.ask("fail", device="encoder", what="dead", value=1.0)
-
     def full(*given: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Session, "start_recording", full)
-    with pytest.raises(DeviceError, match="pendulums: silent"), session:
-        Procedures(session, SimulatedOperator(sim), tmp_path, dies).point("B", 500.0 * np.pi / 30)
+    _dies_in_the_spin_up(sim, session, tmp_path, messages)
     assert any("the last 3 s cannot be recorded" in text and "No space left" in text for text in messages)
     assert abs(sim.far.motion.speed_rad_s) < 0.2
 
 
 def test_a_test_that_ends_at_rest_before_its_log_records_none(tmp_path: Path) -> None:
     sim, session = opened("virtual")
-    tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
+    tests = guided(session, sim, tmp_path)
     with session:
         sim.ask("unplug", device="drive")
         with pytest.raises(AcquisitionError, match="the rotor is not turned: motor: silent"):
@@ -555,5 +529,5 @@ def test_actions_of_the_operator_during_the_request_count(test: str, tmp_path: P
             sim.clock.wait(8.0)
 
     with session:
-        done = Procedures(session, Prompt(sim), tmp_path, lambda text, share: None).run(test)
+        done = Procedures(session, Prompt(sim), tmp_path, quiet).run(test)
     assert done.missed == ""

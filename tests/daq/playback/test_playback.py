@@ -29,58 +29,18 @@ from daq.transports import HostClock, Link, open_link
 from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from daq.transports.wires import PtyWire, TcpWire
 from rig_configs import load_rig
-from tests.daq.replay.test_replay import FakeClock
-from tests.daq.replayed_log import IDENTITIES, START_NS, write_log
+from tests.daq.playback.fake_ports import FakeClock, FakePort
+from tests.daq.replayed_log import IDENTITIES, START_NS, from_device, write_log
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="ptys need POSIX")
 KINDS = [pytest.param("pty", marks=needs_pty), "tcp"]
-
-
-class FakeOutlet:
-    """A reader that accepts a limited number of bytes per offer, and goes away after some."""
-
-    port = "fake"
-
-    def __init__(self, room: int = 10**9, goes_after: int = 10**12) -> None:
-        self.room, self.goes_after = room, goes_after
-        self.got = b""
-        self.open = True
-
-    def offer(self, data: bytes) -> int:
-        if len(self.got) >= self.goes_after:
-            self.open = False
-            raise LinkLost("gone")
-        self.got += data[: self.room]
-        return min(self.room, len(data))
-
-    def receive(self) -> bytes:
-        return b""
-
-    def connected(self) -> bool:
-        return self.open
-
-    def descriptor(self) -> int | None:
-        return None
-
-    def close(self) -> None:
-        self.open = False
-
-
-@pytest.fixture
-def log(tmp_path: Path) -> Iterator[Log]:
-    with open_log(write_log(tmp_path / "a.mcap")) as opened:
-        yield opened
-
-
-def from_device(log: Log, device: str) -> bytes:
-    return b"".join(chunk.data for chunk in log.raw(device) if chunk.direction == RX)
 
 
 # --- what is played ----------------------------------------------------------------------------------------------
 
 
 def test_a_serial_line_carries_what_the_device_sent_and_nothing_else(log: Log) -> None:
-    outlets = {device: FakeOutlet() for device in log.devices}
+    outlets = {device: FakePort() for device in log.devices}
     state = Playback(outlets, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
     for device in ("laser_x", "laser_y", "encoder"):
         assert outlets[device].got == from_device(log, device)
@@ -95,7 +55,7 @@ def frames_of(data: bytes) -> list[CanFrame]:
 
 
 def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
-    outlet = FakeOutlet()
+    outlet = FakePort()
     Playback({"drive": outlet}, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
     found = FrameDecoder().feed(outlet.got)
     assert found.damaged == 0
@@ -157,7 +117,7 @@ def test_bytes_that_are_no_frame_are_not_played_and_hold_nothing_back() -> None:
 
 
 def test_a_slow_reader_is_waited_for_and_gets_everything(log: Log) -> None:
-    slow, quick = FakeOutlet(room=7), FakeOutlet()
+    slow, quick = FakePort(room=7), FakePort()
     clock = FakeClock()
     state = Playback({"laser_x": slow, "laser_y": quick}, played_devices(log), 1.0, clock).play(log.raw_in_order())
     assert slow.got == from_device(log, "laser_x")
@@ -167,7 +127,7 @@ def test_a_slow_reader_is_waited_for_and_gets_everything(log: Log) -> None:
 
 
 def test_more_than_the_backlog_is_never_held() -> None:
-    slow = FakeOutlet(room=100_000)
+    slow = FakePort(room=100_000)
     playback = Playback({"laser_x": slow}, {"laser_x": PlayedDevice()}, math.inf, FakeClock())
     pieces = [("laser_x", RawChunk(START_NS + i, RX, bytes(65_536))) for i in range(3 * BACKLOG_BYTES // 65_536)]
     most = 0
@@ -185,7 +145,7 @@ def test_more_than_the_backlog_is_never_held() -> None:
 
 
 def test_a_reader_that_goes_away_is_reported_and_the_others_are_served(log: Log) -> None:
-    goes, stays = FakeOutlet(goes_after=2000), FakeOutlet()
+    goes, stays = FakePort(goes_after=2000), FakePort()
     reported: set[str] = set()
     playback = Playback({"laser_x": goes, "laser_y": stays}, played_devices(log), 4.0, FakeClock())
     state = playback.play(log.raw_in_order(), lambda now: reported.update(now.gone))
@@ -198,7 +158,7 @@ def test_a_reader_that_goes_away_is_reported_and_the_others_are_served(log: Log)
 
 def test_without_any_reader_left_it_ends(log: Log) -> None:
     clock = FakeClock()
-    state = Playback({"laser_x": FakeOutlet(goes_after=1)}, played_devices(log), 0.001, clock).play(log.raw_in_order())
+    state = Playback({"laser_x": FakePort(goes_after=1)}, played_devices(log), 0.001, clock).play(log.raw_in_order())
     assert state.undelivered["laser_x"] > 0
     assert sum(clock.slept) < 100  # not the ten minutes of the whole log at this speed
 
@@ -206,53 +166,35 @@ def test_without_any_reader_left_it_ends(log: Log) -> None:
 def test_it_plays_at_the_logs_pace(log: Log) -> None:
     clock = FakeClock()
     started = clock.ns
-    outlets = {device: FakeOutlet() for device in log.devices}
+    outlets = {device: FakePort() for device in log.devices}
     state = Playback(outlets, played_devices(log), 2.0, clock).play(log.raw_in_order())
     assert clock.ns - started == pytest.approx((log.end_ns - log.start_ns) / 2, abs=5e5)
     assert state.most_late_s < 1e-3
 
 
 def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
-    one, two = FakeOutlet(), FakeOutlet()
+    one, two = FakePort(), FakePort()
     one.open = two.open = False
-    clock = FakeClock()
     reported: list[list[str]] = []
-    opened_ns = 0
 
-    def opens() -> None:
-        nonlocal opened_ns
-        passed = clock.ns * 1e-9 - 5
-        one.open = passed > 1
-        two.open = 2 < passed < 2.1 or passed > 3  # for a moment, and later for good
-        opened_ns = opened_ns or (clock.ns if passed > 3 else 0)
+    def does(at_s: float) -> None:
+        one.open = at_s > 1
+        two.open = 2 < at_s < 2.1 or at_s > 3  # for a moment, and later for good
 
-    sleep = clock.wait
-
-    def sleep_and_open(seconds: float) -> None:
-        sleep(seconds)
-        opens()
-
-    clock.wait = sleep_and_open  # a hook of this test
+    clock = FakeClock(does)
     silent = {"laser_x": PlayedDevice(), "laser_y": PlayedDevice()}
     Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(reported.append)
     assert reported == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
-    assert 0.27e9 < clock.ns - opened_ns < 0.4e9
+    assert 8.27e9 < clock.ns < 8.42e9
 
 
 def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
-    outlet, clock = FakeOutlet(), FakeClock()
+    outlet, clock = FakePort(), FakeClock()
     playback = Playback({"laser_x": outlet}, {"laser_x": PlayedDevice()}, 1.0, clock)
-    sleep = clock.wait
-
-    def sleep_and_close(seconds: float) -> None:
-        sleep(seconds)
-        outlet.open = clock.ns < 8_000_000_000
-
-    clock.wait = sleep_and_close  # a hook of this test
+    clock.does = lambda at_s: setattr(outlet, "open", at_s < 3)
     playback.hold()
     assert clock.ns == pytest.approx(8e9, abs=0.03e9)
-    outlet.open = True
-    clock.wait = sleep  # a hook of this test
+    outlet.open, clock.does = True, lambda at_s: None
     playback.hold(linger_s=2.0)
     assert clock.ns == pytest.approx(10e9, abs=0.06e9)
 
@@ -317,9 +259,7 @@ def record_what_comes(links: dict[str, Link], path: Path, enough: dict[str, int]
 def test_played_out_and_recorded_again_the_samples_are_the_same(tmp_path: Path, kind: str, speed: float) -> None:
     path = write_log(tmp_path / "a.mcap", steps=200, lost=frozenset({50, 51}))
     with open_log(path) as log:
-        measured = Playback(
-            {device: FakeOutlet() for device in log.devices}, played_devices(log), math.inf, FakeClock()
-        )
+        measured = Playback({device: FakePort() for device in log.devices}, played_devices(log), math.inf, FakeClock())
         enough = measured.play(log.raw_in_order()).delivered
         outlets = open_outlets(log, kind)
         playback = Playback(outlets, played_devices(log), speed)
@@ -396,6 +336,6 @@ def test_a_port_that_is_not_there_leaves_none_of_the_others_open(log: Log) -> No
 
 
 def test_outlets_are_what_playback_takes() -> None:
-    outlets: list[Outlet] = [FakeOutlet(), TcpWire()]
+    outlets: list[Outlet] = [FakePort(), TcpWire()]
     for outlet in outlets:
         outlet.close()

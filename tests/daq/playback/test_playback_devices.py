@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import queue
 import struct
-from collections.abc import Iterator
-from pathlib import Path
 
 import canopen
 import numpy as np
@@ -22,23 +20,17 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.played import PlayedNode
 from daq.errors import DeviceError, LogError
 from daq.items import RX, TX
-from daq.log import Log, open_log
+from daq.log import Log
 from daq.playback import PlayedDevice, played_devices
 from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from rig_configs import load_rig
 from tests.daq.can_text import tx
-from tests.daq.replayed_log import IDENTITIES, write_log
+from tests.daq.replayed_log import IDENTITIES
 
 RIG = load_rig("virtual")
 LASER = RIG.devices["laser_x"]
 IDENTITY = IDENTITIES["laser_x"]
-
-
-@pytest.fixture
-def log(tmp_path: Path) -> Iterator[Log]:
-    with open_log(write_log(tmp_path / "a.mcap")) as opened:
-        yield opened
 
 
 def blocks(count: int, words: int = 4) -> bytes:

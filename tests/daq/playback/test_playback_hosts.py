@@ -5,93 +5,42 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.errors import DeviceError, LinkLost
-from daq.items import RX
-from daq.log import Log, open_log
+from daq.errors import DeviceError
+from daq.log import Log
 from daq.playback import Playback, PlaybackState, played_devices
 from daq.transports.can_frames import CLOSE_BUS, CanFrame, encode, open_bus
-from tests.daq.replay.test_replay import FakeClock
-from tests.daq.replayed_log import write_log
+from tests.daq.playback.fake_ports import FakeClock, FakePort
+from tests.daq.replayed_log import from_device
 
 LASERS = (b"OUTPUT NONE\n", b"GETINFO\n", b"OUTPUT RS422\n")
 START = open_bus(500_000) + encode(CanFrame(0, b"\x01\x05"))
 STOP = encode(CanFrame(0, b"\x80\x05")) + CLOSE_BUS
 
 
-class Host:
-    """One end of a port: bytes to send next, bytes received."""
-
-    port = "fake"
-
-    def __init__(self) -> None:
-        self.next_bytes, self.got, self.open = b"", b"", True
-
-    def offer(self, data: bytes) -> int:
-        if not self.open:
-            raise LinkLost("gone")
-        self.got += data
-        return len(data)
-
-    def receive(self) -> bytes:
-        sent, self.next_bytes = self.next_bytes, b""
-        return sent
-
-    def connected(self) -> bool:
-        return self.open
-
-    def descriptor(self) -> int | None:
-        return None
-
-    def close(self) -> None:
-        self.open = False
-
-
-class Scripted(FakeClock):
-    """A clock that lets a host act when it sleeps."""
-
-    def __init__(self, does: Callable[[float], None]) -> None:
-        super().__init__()
-        self.does = does
-
-    def wait(self, seconds: float) -> None:
-        super().wait(seconds)
-        self.does(self.ns * 1e-9 - 5)
-
-
 @pytest.fixture
-def log(tmp_path: Path) -> Iterator[Log]:
-    with open_log(write_log(tmp_path / "a.mcap")) as opened:
-        yield opened
+def hosts(log: Log) -> dict[str, FakePort]:
+    return {device: FakePort() for device in log.devices}
 
 
-@pytest.fixture
-def hosts(log: Log) -> dict[str, Host]:
-    return {device: Host() for device in log.devices}
-
-
-def from_device(log: Log, device: str) -> bytes:
-    return b"".join(chunk.data for chunk in log.raw(device) if chunk.direction == RX)
-
-
-def set_up(hosts: dict[str, Host], log: Log, clock: FakeClock, speed: float = math.inf) -> Playback:
-    """A playback whose host has configured every device."""
+def set_up(hosts: dict[str, FakePort], log: Log, speed: float = math.inf) -> tuple[Playback, FakeClock]:
+    """A playback whose host has configured every device, and its clock."""
+    clock = FakeClock()
     playback = Playback(hosts, played_devices(log), speed, clock)
     for name in ("laser_x", "laser_y"):
         hosts[name].next_bytes = b"".join(LASERS)
     hosts["drive"].next_bytes = START
     playback.wait_for_readers()
     playback.wait_for_setup()
-    return playback
+    return playback, clock
 
 
 def test_nothing_is_played_before_every_device_is_commanded_and_then_everything(
-    log: Log, hosts: dict[str, Host]
+    log: Log, hosts: dict[str, FakePort]
 ) -> None:
     waited: list[set[str]] = []
 
@@ -101,7 +50,7 @@ def test_nothing_is_played_before_every_device_is_commanded_and_then_everything(
                 assert hosts["encoder"].got == b""
                 hosts[name].next_bytes = word
 
-    playback = Playback(hosts, played_devices(log), math.inf, clock := Scripted(does))
+    playback = Playback(hosts, played_devices(log), math.inf, clock := FakeClock(does))
     hosts["laser_x"].next_bytes = LASERS[0] + LASERS[1]
     playback.wait_for_readers()
     assert playback.configured
@@ -120,7 +69,7 @@ def test_nothing_is_played_before_every_device_is_commanded_and_then_everything(
     assert not state.cut_short
 
 
-def test_a_host_that_sends_nothing_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_host_that_sends_nothing_is_a_listener(log: Log, hosts: dict[str, FakePort]) -> None:
     playback = Playback(hosts, played_devices(log), math.inf, clock := FakeClock())
     playback.wait_for_readers()
     playback.wait_for_setup(lambda waiting: pytest.fail("nothing is waited for"))
@@ -130,7 +79,7 @@ def test_a_host_that_sends_nothing_is_a_listener(log: Log, hosts: dict[str, Host
     assert hosts["laser_x"].got == from_device(log, "laser_x")
 
 
-def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
+def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, FakePort]) -> None:
     playback = Playback(hosts, played_devices(log), math.inf, FakeClock())
     hosts["drive"].next_bytes = open_bus(500_000)
     playback.wait_for_readers()
@@ -138,7 +87,9 @@ def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, Hos
     assert hosts["drive"].got == b""
 
 
-def test_commands_of_a_host_that_left_before_all_ports_were_open_do_not_count(log: Log, hosts: dict[str, Host]) -> None:
+def test_commands_of_a_host_that_left_before_all_ports_were_open_do_not_count(
+    log: Log, hosts: dict[str, FakePort]
+) -> None:
     hosts["encoder"].open = False
     hosts["laser_x"].next_bytes = b"GETINFO\n"
 
@@ -146,14 +97,14 @@ def test_commands_of_a_host_that_left_before_all_ports_were_open_do_not_count(lo
         hosts["laser_x"].open = not 1 < at_s < 2
         hosts["encoder"].open = at_s > 3
 
-    playback = Playback(hosts, played_devices(log), math.inf, clock := Scripted(does))
+    playback = Playback(hosts, played_devices(log), math.inf, clock := FakeClock(does))
     playback.wait_for_readers()
     assert not playback.configured
     assert clock.ns == pytest.approx(8.3e9, abs=0.1e9)
 
 
 def test_a_host_that_never_gets_that_far_raises_an_error_with_what_was_expected(
-    log: Log, hosts: dict[str, Host]
+    log: Log, hosts: dict[str, FakePort]
 ) -> None:
     playback = Playback(hosts, played_devices(log), 1.0, clock := FakeClock())
     hosts["laser_x"].next_bytes = LASERS[2]
@@ -164,12 +115,12 @@ def test_a_host_that_never_gets_that_far_raises_an_error_with_what_was_expected(
     assert clock.ns == pytest.approx(65e9, abs=0.1e9)
 
 
-def test_a_host_that_leaves_before_raises_an_error_at_once(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_host_that_leaves_before_raises_an_error_at_once(log: Log, hosts: dict[str, FakePort]) -> None:
     def does(at_s: float) -> None:
         for host in hosts.values():
             host.open = at_s < 1
 
-    playback = Playback(hosts, played_devices(log), 1.0, clock := Scripted(does))
+    playback = Playback(hosts, played_devices(log), 1.0, clock := FakeClock(does))
     hosts["laser_x"].next_bytes = LASERS[0]
     playback.wait_for_readers()
     expected = "OUTPUT RS422 at laser_x, OUTPUT RS422 at laser_y"
@@ -180,7 +131,7 @@ def test_a_host_that_leaves_before_raises_an_error_at_once(log: Log, hosts: dict
     assert clock.ns == pytest.approx(6e9, abs=0.05e9)
 
 
-def leaving(hosts: dict[str, Host], at: float, politely: bool) -> Callable[[float], None]:
+def leaving(hosts: dict[str, FakePort], at: float, politely: bool) -> Callable[[float], None]:
     """A host that stops its devices, or not, and closes its ports a little later."""
     stopped = not politely
 
@@ -198,14 +149,11 @@ def leaving(hosts: dict[str, Host], at: float, politely: bool) -> Callable[[floa
 
 @pytest.mark.parametrize("politely", [True, False])
 def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
-    log: Log, hosts: dict[str, Host], politely: bool
+    log: Log, hosts: dict[str, FakePort], politely: bool
 ) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock, speed=1.0)
+    playback, clock = set_up(hosts, log, speed=1.0)
     began_s = clock.ns * 1e-9 - 5
-    script = leaving(hosts, began_s + 0.25, politely)
-    sleep = clock.wait
-    clock.wait = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # a hook of this test
+    clock.does = leaving(hosts, began_s + 0.25, politely)
     states: list[PlaybackState] = []
     state = playback.play(log.raw_in_order(), states.append)
     assert state.cut_short
@@ -223,9 +171,10 @@ def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
         assert seconds == pytest.approx(0.25 if politely else 0.35, abs=0.05)
 
 
-def test_last_words_of_a_host_count_even_when_its_ports_are_closed_with_them(log: Log, hosts: dict[str, Host]) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock)
+def test_last_words_of_a_host_count_even_when_its_ports_are_closed_with_them(
+    log: Log, hosts: dict[str, FakePort]
+) -> None:
+    playback, _ = set_up(hosts, log)
 
     def chunks() -> Iterator:
         for number, chunk in enumerate(log.raw_in_order()):
@@ -240,9 +189,8 @@ def test_last_words_of_a_host_count_even_when_its_ports_are_closed_with_them(log
     assert state.stopped
 
 
-def test_stopped_and_started_again_it_goes_on_where_the_log_is_by_then(log: Log, hosts: dict[str, Host]) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock, speed=1.0)
+def test_stopped_and_started_again_it_goes_on_where_the_log_is_by_then(log: Log, hosts: dict[str, FakePort]) -> None:
+    playback, clock = set_up(hosts, log, speed=1.0)
     began_s = clock.ns * 1e-9
     words = [(0.2, LASERS[0]), (0.4, LASERS[2])]
 
@@ -261,7 +209,7 @@ def test_stopped_and_started_again_it_goes_on_where_the_log_is_by_then(log: Log,
     assert len(whole) - len(first) - len(last) == state.withheld["laser_x"] == pytest.approx(0.2 * 48_000, rel=0.2)
 
 
-def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str, FakePort]) -> None:
     clock = FakeClock()
     playback = Playback(hosts, played_devices(log), 1.0, clock)
 
@@ -279,27 +227,24 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
     assert len(found.values) == len(log["laser/y"].time_ns)
 
 
-def test_what_a_log_cannot_do_is_counted(log: Log, hosts: dict[str, Host]) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock)
+def test_what_a_log_cannot_do_is_counted(log: Log, hosts: dict[str, FakePort]) -> None:
+    playback, _ = set_up(hosts, log)
     hosts["encoder"].next_bytes = rotorlink.wire(rotorlink.NodeCommand(1, 3, rotorlink.ACTIONS["release both"]).pack())
     state = playback.play(log.raw_in_order())
     assert state.unfollowed == {"laser_x": 0, "laser_y": 0, "encoder": 1, "drive": 0}
     assert hosts["encoder"].got == from_device(log, "encoder")
 
 
-def test_questions_are_answered_while_the_ports_are_held_at_the_end(log: Log, hosts: dict[str, Host]) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock)
+def test_questions_are_answered_while_the_ports_are_held_at_the_end(log: Log, hosts: dict[str, FakePort]) -> None:
+    playback, _ = set_up(hosts, log)
     playback.play(log.raw_in_order())
     hosts["laser_x"].next_bytes = LASERS[0]
     playback.hold(linger_s=0.1)
     assert hosts["laser_x"].got.endswith(b"OUTPUT NONE ok\r\n->")
 
 
-def test_as_fast_as_it_is_read_commands_are_heard_all_the_same(log: Log, hosts: dict[str, Host]) -> None:
-    clock = FakeClock()
-    playback = set_up(hosts, log, clock)
+def test_as_fast_as_it_is_read_commands_are_heard_all_the_same(log: Log, hosts: dict[str, FakePort]) -> None:
+    playback, clock = set_up(hosts, log)
     counted: list[int] = []
 
     def chunks() -> Iterator:

@@ -11,8 +11,8 @@ from daq.log import open_log
 from daq.replay import check
 from daq.replay.decoded_again import decode_again
 from daq.version import DECODER
-from tests.daq.lockstep_log import recorded_at_rest
 from tests.daq.replayed_log import as_it_is, write_log
+from tests.daq.simulated_sessions import recorded_at_rest
 
 OTHER = DECODER + 1
 EXPECTED = f"decoded again by decoder {DECODER}: differences are expected"

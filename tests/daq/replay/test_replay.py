@@ -24,6 +24,7 @@ from daq.replay.pace import Pace
 from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_configs.errors import RigFileError
+from tests.daq.playback.fake_ports import FakeClock
 from tests.daq.replayed_log import START_NS, STEP_NS, Falsify, write_log
 from tests.daq.small_log import write_small_log
 
@@ -125,7 +126,6 @@ def test_every_field_of_every_sample_is_compared(tmp_path: Path, topic: str, fie
     assert [row.topic for row in rows.values() if row.difference] == [topic]
     assert rows[topic].differing == 1
     first = rows[topic].first
-    assert first is not None
     assert (first.field, first.decoded) == (field, original[0][0])
     assert first.stored == original[0][0] + by
     with open_log(path) as log:
@@ -158,7 +158,6 @@ def test_a_missing_and_an_invented_batch_are_differences_in_a_whole_log(tmp_path
     row = next(r for r in check(write_log(tmp_path / "a.mcap", falsify=leave_out)) if r.topic == "tacho")
     assert (row.live, row.again, row.differing) == (59, 60, 1)
     assert row.difference == "59 samples live, 60 decoded again"
-    assert row.first is not None
     assert (row.first.index, row.first.stored, row.first.decoded) == (59, None, 119)
 
     def invent(arrays: dict[str, Any], batch: Batch) -> None:
@@ -168,7 +167,6 @@ def test_a_missing_and_an_invented_batch_are_differences_in_a_whole_log(tmp_path
         r for r in check(write_log(tmp_path / "b.mcap", falsify=falsified("tacho", 59, invent))) if r.topic == "tacho"
     )
     assert (row.live, row.again, row.differing) == (61, 60, 1)
-    assert row.first is not None
     assert (row.first.index, row.first.decoded) == (60, None)
 
 
@@ -188,7 +186,6 @@ def test_events_are_compared_with_their_facts(tmp_path: Path, change: str) -> No
     rows = {row.topic: row for row in check(path)}
     assert [row.topic for row in rows.values() if row.difference] == ["events"]
     first = rows["events"].first
-    assert first is not None
     assert rows["events"].differing == 1
     expected = {"text": "text", "fact": "samples", "left out": "kind", "late": "time_ns"}
     assert first.field == expected[change]
@@ -225,7 +222,6 @@ def damage_chunk_at(path: Path, share: float) -> None:
 
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None
     at = path.stat().st_size * share
     chunk = max((c for c in summary.chunk_indexes if c.chunk_start_offset < at), key=lambda c: c.chunk_start_offset)
     data = bytearray(path.read_bytes())
@@ -275,21 +271,6 @@ def test_a_log_without_its_rig_file_is_refused(tmp_path: Path) -> None:
 
 
 # --- at a pace ---------------------------------------------------------------------------------------------------
-
-
-class FakeClock:
-    """A clock that advances only by sleeping or explicitly."""
-
-    def __init__(self) -> None:
-        self.ns = 5_000_000_000
-        self.slept: list[float] = []
-
-    def now_ns(self) -> int:
-        return self.ns
-
-    def wait(self, seconds: float) -> None:
-        self.slept.append(seconds)
-        self.ns += math.ceil(seconds * 1e9)
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 8.0])

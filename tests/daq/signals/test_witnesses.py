@@ -10,20 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.acquisition.session import Session
 from daq.channels import LASER_X, Channel
-from daq.guided_tests.procedure import Procedures
 from daq.items import Batch
-from daq.lockstep.rig import LockstepRig
 from daq.log.file import LogFile
 from daq.replay import check
 from daq.signals.run import disagreements, load_run
 from daq.signals.witnesses import Witness, WitnessAgreement, agreement
-from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import identify
 from rig_cli.main import run as main
 from rig_configs import load_rig
 from rig_configs.roles import DisplacementSensor, role_table
+from tests.daq.simulated_sessions import guided, opened
 from tests.effort import cases, thorough
 
 Floats = NDArray[np.float64]
@@ -136,11 +133,9 @@ def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path:
     file = tmp_path / "rig.toml"
     file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + WITNESS.replace("DRIVER", driver))
     settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0"]
-    sim = LockstepRig(load_rig(file, settings=settings))
-    session = Session(load_rig(file, settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    sim, session = opened(file, *settings)
     with session:
-        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
-        log = tests.run("ring-down-x").log
+        log = guided(session, sim, tmp_path).run("ring-down-x").log
     assert [row.topic for row in check(log) if row.difference] == []
     run = load_run(log)
     (found,) = run.agreements()
@@ -151,11 +146,9 @@ def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path:
 def test_a_turned_pair_of_built_in_sensors_shows_a_motion_along_x_in_both(tmp_path: Path) -> None:
     settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
     settings += ["devices.laser_x.direction_deg=-45", "devices.laser_y.direction_deg=45"]
-    sim = LockstepRig(load_rig("virtual", settings=settings))
-    session = Session(load_rig("virtual", settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
+    sim, session = opened("virtual", *settings)
     with session:
-        tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
-        run = load_run(tests.run("ring-down-x").log)
+        run = load_run(guided(session, sim, tmp_path).run("ring-down-x").log)
     size_x, size_y = (np.ptp(np.asarray(value)) for value in (run.x_m, run.y_m))
     assert size_x == pytest.approx(size_y, rel=0.1)  # a pull is not exactly along x
     assert size_x > 1e-3

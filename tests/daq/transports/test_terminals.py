@@ -28,7 +28,6 @@ def test_the_terminal_of_another_program_is_not_opened(named: str, tmp_path: Pat
     port.symlink_to(name)
     takes_it = "import os, fcntl, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0); print(1); input()"
     with subprocess.Popen([sys.executable, "-u", "-c", takes_it], stdin=slave, stdout=subprocess.PIPE) as shell:
-        assert shell.stdout is not None
         assert shell.stdout.readline() == b"1\n"
         before = termios.tcgetattr(slave)
         with pytest.raises(LinkLost, match=rf"is the terminal of process {shell.pid} .*it was not opened"):

@@ -20,6 +20,7 @@ from daq.errors import LinkLost
 from daq.transports import HostClock, Link, open_link
 from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode
 from daq.transports.wires import PtyWire, TcpWire, make_wire
+from tests.daq.free_ports import free_udp_port
 
 FRAME = encode(CanFrame(0x185, b"\x37\x02\x10\x00"))
 
@@ -114,10 +115,7 @@ def test_the_error_for_a_missing_port_contains_what_to_check() -> None:
 def test_a_device_that_sends_datagrams_is_read_and_answered() -> None:
     device = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     device.bind(("127.0.0.1", 0))
-    free = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    free.bind(("127.0.0.1", 0))
-    port = free.getsockname()[1]
-    free.close()
+    port = free_udp_port()
     link = open_link(f"udp://127.0.0.1:{port}", 0)
     try:
         assert link.read(0.01) == b""
@@ -271,9 +269,7 @@ def test_a_serial_port_has_the_stop_bits_of_its_line(stop_bits):
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="127.0.0.2 is not an address of the loopback interface there")
 def test_datagrams_of_others_are_dropped_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     link = open_link(f"udp://127.0.0.1:{port}?from=127.0.0.1", 0)
     with contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.2", 0))
@@ -291,9 +287,7 @@ def test_datagrams_of_others_are_dropped_and_reported_once(caplog: pytest.LogCap
 
 def test_datagrams_that_wait_do_not_delay_those_after_them() -> None:
     """A reader that rests 40 ms took two of them in each turn, fewer than some devices send."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     link = open_link(f"udp://127.0.0.1:{port}", 0)
     sent = [bytes([number]) * 512 for number in range(150)]
     with contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
