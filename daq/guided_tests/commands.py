@@ -33,6 +33,7 @@ from rig_configs.roles import PendulumAngles
 
 _PAST_S = 3.0  # pre-trigger of the log of a test that was stopped before its log, s; short, since it is decoded
 # while no device is read and the rotor turns
+_COUNTERS_S = 0.1  # stretch of the samples at the closed locks, s
 _FLAGS_S = 0.5  # stretch of the flags that are checked while a test runs, s
 
 
@@ -161,15 +162,12 @@ class RigCommands:
 
     # --- the log -----------------------------------------------------------------------------------------------
 
-    def begin(self, before_s: float = 0.0) -> None:
-        """Begin the test's log.
+    def begin(self, before_s: float = 0.0) -> Path:
+        """Begin the test's log and return its path.
 
         Args:
             before_s: length of the pre-trigger, s.
         """
-        self._begin(before_s)
-
-    def _begin(self, before_s: float) -> Path:
         test = self._demands.test
         self._folder.mkdir(parents=True, exist_ok=True)
         facts = {"test": test, "note": self._note, **self._facts}
@@ -191,7 +189,7 @@ class RigCommands:
         if self._recording or self.kept is not None or self.session.trouble is None or not self.session.rotor.turning():
             return
         try:
-            path = self._begin(_PAST_S)
+            path = self.begin(_PAST_S)
         except (AcquisitionError, OSError) as error:
             self.warn(f"no log had begun, and the last {_PAST_S:g} s cannot be recorded: {error}")
         else:
@@ -238,11 +236,8 @@ class RigCommands:
                 self.rotor.quick_stop()
                 raise error
 
-    def check_counters(self, span_s: float) -> None:
+    def check_counters(self) -> None:
         """Check the counters at the closed locks, and the description of their device.
-
-        Args:
-            span_s: length of the newest stretch of samples that is checked, s.
 
         Raises:
             DeviceError: the device deviates from the rig file.
@@ -253,7 +248,7 @@ class RigCommands:
             1
         ]:  # it stopped nothing while the session was being opened
             raise DeviceError(f"{device}: {complaint}")
-        _, (a, b, flags) = self.session.channels.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
+        _, (a, b, flags) = self.session.channels.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), _COUNTERS_S)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]
         trouble = ". ".join(text for text in wrong if text)
         if trouble and self._demands.trusts_angles:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.table import State, StateObservation, StateTable, StateView
+from daq.guided_tests.table import State, StateObservation, StateTable, StateView, no_commands
 from daq.signals.speed_agreement import SPEED_TOLERANCE
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
@@ -32,6 +33,17 @@ def framed(request: GuidedTestRequest, *states: State, releases: bool = False) -
     """
     beginning = (REST, LOCK, LOCKS_SEEN, COUNTERS) if request.rig.roles.angles is not None else (REST, LOCK)
     return StateTable((*beginning, *states), (FINISH, STOP, LOCK_AGAIN) if releases else (FINISH, STOP))
+
+
+def log_begin(before_s: float, *, with_motion: bool) -> tuple[str, Callable[[RigCommands], object]]:
+    """Return description and command of a state that may begin the log.
+
+    Args:
+        before_s: length of the pre-trigger, s. With one the log begins with the motion, otherwise before it.
+        with_motion: whether the state is that of the motion.
+    """
+    begins = (before_s > 0) == with_motion
+    return ("begin the log", lambda commands: commands.begin(before_s)) if begins else ("", no_commands)
 
 
 def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple[State, ...]:
@@ -121,10 +133,6 @@ def _described(view: StateView) -> StateObservation:
     return StateObservation(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
 
 
-def _check_counters(commands: RigCommands) -> None:
-    commands.check_counters(0.5 * _LOCKED_LOOK_S)
-
-
 REST = State(
     "rest",
     does="bring the rotor to rest",
@@ -152,7 +160,7 @@ LOCKS_SEEN = State(
     usual_s=0.4,
     late="counters",
 )
-COUNTERS = State("counters", does="check the counters at the closed locks", enter=_check_counters)
+COUNTERS = State("counters", does="check the counters at the closed locks", enter=RigCommands.check_counters)
 _ENDING = "the test is ending"
 FINISH = State("finish", does="end the log", enter=RigCommands.finish, no_pause=_ENDING)
 STOP = State(

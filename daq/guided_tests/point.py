@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
@@ -28,15 +27,13 @@ _AFTER_RELEASE_S = 3.0  # after the release before the first look, s
 _AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, s
 
 
-def point_states(
-    request: GuidedTestRequest, rpm: float, ends: Callable[[StateView, Settling], bool]
-) -> tuple[State, ...]:
+def point_states(request: GuidedTestRequest, rpm: float, slips_s: float = math.inf) -> tuple[State, ...]:
     """Return the states from the spin-up to the steady state after a release.
 
     Args:
         request: the requested test.
         rpm: the speed.
-        ends: whether a result that is not settled ends the wait.
+        slips_s: time since the release after which a slip ends the wait, s.
     """
     waiting = near_resonance(request.rig, rpm)
 
@@ -81,14 +78,16 @@ def point_states(
             usual_s=0.3,
             no_pause=MOTION,
         ),
-        settle_state(request, rpm, ends),
+        settle_state(request, rpm, slips_s),
     )
 
 
-def settle_state(
-    request: GuidedTestRequest, rpm: float, ends: Callable[[StateView, Settling], bool], free: bool = False
-) -> State:
-    """Return the state that waits for the steady state after a release, or with `free` after reaching the speed."""
+def settle_state(request: GuidedTestRequest, rpm: float, slips_s: float, free: bool = False) -> State:
+    """Return the state that waits for the steady state after a release, or with `free` after reaching the speed.
+
+    Args:
+        slips_s: time after which a slip ends the wait, s.
+    """
     angles = request.rig.roles.angles
     step_rad = math.nan if angles is None else angles.step_rad
     begun = "at speed" if free else "after release"
@@ -101,7 +100,7 @@ def settle_state(
             return StateObservation(False, f"{since:.0f} s {begun}", near=steady_ns is not None)
         again = steady_ns is not None
         last = view.measures.steady(since_ns, step_rad, _SECOND_LIMITS if again else _FIRST_LIMITS, free)
-        over = (again and last.settled) or (not last.settled and ends(view, last))
+        over = (again and last.settled) or (last.slipping and since > slips_s)
         near = last.settled or (last.approaching and since + last.more_s < _POINT_LIMIT_S + _EXTENSION_S)
         near_ns = view.now_ns if near else view.memory.get("near_ns")
         near = near_ns is not None and view.now_ns < near_ns + _DOUBT_S * 1e9
@@ -135,8 +134,7 @@ def _not_steady(request: GuidedTestRequest, view: StateView) -> str:
 
 
 def _table(request: GuidedTestRequest) -> StateTable:
-    states = point_states(request, request.numbers["speed_rpm"], lambda view, last: False)
-    return framed(request, *states, releases=True)
+    return framed(request, *point_states(request, request.numbers["speed_rpm"]), releases=True)
 
 
 def point_speed_rpm(rig: Rig, point: str) -> float | None:

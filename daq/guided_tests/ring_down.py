@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from daq.acquisition.core import PAST_S
 from daq.guided_test_kinds import CHANNELS, GuidedTestRequest, Number, TestKind
-from daq.guided_tests.commands import RigCommands
-from daq.guided_tests.frame import framed
+from daq.guided_tests.frame import framed, log_begin
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView, no_commands
+from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView
 
 _MAX_ANSWER_S = 5.0  # wait for valid samples of a device, s
 _MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, s
@@ -107,9 +106,8 @@ class _RingDown:
 
     # --- states ------------------------------------------------------------------------------------------------
 
-    def waiting_states(self) -> tuple[State, ...]:
-        """Return the states before the pluck."""
-        has_pre_trigger = self.before_s > 0
+    def all(self) -> tuple[State, ...]:
+        """Return the states from the rest before the pluck to the end of the ring-down."""
         return (
             State(
                 "calm",
@@ -122,8 +120,7 @@ class _RingDown:
             ),
             State(
                 "quiet",
-                does="" if has_pre_trigger else "begin the log",
-                enter=no_commands if has_pre_trigger else self._begin_log,
+                *log_begin(self.before_s, with_motion=False),
                 waits_for="half a second of valid samples",
                 look=self.quiet,
                 period_s=0.1,
@@ -132,12 +129,6 @@ class _RingDown:
                 late=FAULT,
                 missed=lambda view: f"waited {_MAX_ANSWER_S:g} s for half a second of valid samples of {self.topic}",
             ),
-        )
-
-    def moving_states(self) -> tuple[State, ...]:
-        """Return the states of the pluck and of the ring-down."""
-        has_pre_trigger = self.before_s > 0
-        return (
             State(
                 "pluck",
                 does="request the pluck",
@@ -153,9 +144,8 @@ class _RingDown:
             ),
             State(
                 "ring",
-                does="begin the log" if has_pre_trigger else "",
+                *log_begin(self.before_s, with_motion=True),
                 waits_for="a swing, then a fiftieth of it, or 0.04 mm",
-                enter=self._begin_log if has_pre_trigger else no_commands,
                 look=self.rung_down,
                 usual_s=15.0,
                 limit_s=_MAX_RING_DOWN_S,
@@ -165,13 +155,9 @@ class _RingDown:
             ),
         )
 
-    def _begin_log(self, commands: RigCommands) -> None:
-        commands.begin(self.before_s)
-
 
 def _table(axis: str, request: GuidedTestRequest) -> StateTable:
-    ring_down = _RingDown(axis, CHANNELS[axis], request.numbers["pre_trigger_s"])
-    return framed(request, *ring_down.waiting_states(), *ring_down.moving_states())
+    return framed(request, *_RingDown(axis, CHANNELS[axis], request.numbers["pre_trigger_s"]).all())
 
 
 _SUSPENSION = (

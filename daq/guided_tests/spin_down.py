@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from daq.guided_test_kinds import GuidedTestRequest, TestKind
-from daq.guided_tests.frame import RELEASE_AT_REST, framed
+from daq.guided_tests.frame import RELEASE_AT_REST, framed, log_begin
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.ring_down import PRE_TRIGGER
-from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after, no_commands
+from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after
 
 _MAX_FLICK_AGE_S = 10.0  # stretch of the angles in which a flick is searched, s
 _BEFORE_S = 0.7  # at rest before the flick, s
@@ -41,14 +41,12 @@ def _left(view: StateView) -> str:
 
 def _table(request: GuidedTestRequest) -> StateTable:
     before_s = request.numbers["pre_trigger_s"]
-    later = before_s > 0
     return framed(
         request,
         RELEASE_AT_REST,
         State(
             "quiet",
-            does="" if later else "begin the log",
-            enter=no_commands if later else lambda commands: commands.begin(before_s),
+            *log_begin(before_s, with_motion=False),
             waits_for=f"{_BEFORE_S:g} s at rest",
             look=after(_BEFORE_S, "the pendulums at rest"),
             period_s=0.1,
@@ -70,8 +68,7 @@ def _table(request: GuidedTestRequest) -> StateTable:
         ),
         State(
             "swing",
-            does="begin the log" if later else "",
-            enter=(lambda commands: commands.begin(before_s)) if later else no_commands,
+            *log_begin(before_s, with_motion=True),
             waits_for="both slower by e⁵",
             look=_slowed,
             usual_s=25.0,

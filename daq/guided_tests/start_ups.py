@@ -17,7 +17,7 @@ from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
 from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import RELEASE_AT_REST, framed, spin_up
 from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
-from daq.guided_tests.table import MOTION, State, StateTable, StateView, after, not_missed
+from daq.guided_tests.table import MOTION, State, StateTable, after, not_missed
 from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
 from rig_configs.schema import Rig
@@ -26,14 +26,6 @@ _MIN_SLIPPING_S = 30.0  # slipping for this time after the release counts as per
 _CLASSES = {"I": "balanced"}
 _BEFORE_S = 1.0  # pendulums at their locks at the start of the log, s
 _SCATTERED_S = 2.0  # wait after the pendulums were scattered, s
-
-
-def _slips(view: StateView, last: Settling) -> bool:
-    return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _MIN_SLIPPING_S * 1e9
-
-
-def _slips_at_speed(view: StateView, last: Settling) -> bool:
-    return last.slipping and view.in_state_s > _MIN_SLIPPING_S
 
 
 def _classify(rig: Rig, commands: RigCommands) -> None:
@@ -79,13 +71,13 @@ def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
             limit_s=60.0,
         ),
         *(replace(state, no_pause=state.no_pause or MOTION) for state in spin_up(request, rpm, free=True)),
-        settle_state(request, rpm, _slips_at_speed, free=True),
+        settle_state(request, rpm, _MIN_SLIPPING_S, free=True),
     )
 
 
 def _table(request: GuidedTestRequest) -> StateTable:
     rpm = request.numbers["speed_rpm"]
-    states = _from_rest(request, rpm) if request.numbers["from_rest"] else point_states(request, rpm, _slips)
+    states = _from_rest(request, rpm) if request.numbers["from_rest"] else point_states(request, rpm, _MIN_SLIPPING_S)
     classify = partial(_classify, request.rig)
     classed = State("class", does="classify the steady state: balanced, slipping or other", enter=classify)
     *before, settle = states

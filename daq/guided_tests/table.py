@@ -133,7 +133,7 @@ class State:
 
     name: str
     does: str = ""
-    enter: Callable[[RigCommands], None] = no_commands
+    enter: Callable[[RigCommands], object] = no_commands
     waits_for: str = ""
     look: Callable[[StateView], StateObservation] = at_once
     period_s: float = 0.5

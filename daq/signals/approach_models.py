@@ -137,7 +137,7 @@ class WhitenedMeans:
             scales = [np.column_stack([faint * s[:, 0], s[:, 1:]]) for s in scales for faint in _FAINT]
         if shapes.square:
             scales = [np.column_stack([scale[:, :-1], self._bends]) for scale in scales]
-        return _joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
+        return joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
 
     def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: Array) -> Points:
         """As `points` for one prior deviation of each quantity's and shape's change, shape (q, p).
@@ -214,7 +214,7 @@ def _tempered(evidence: Array, enough: float) -> tuple[Array, float]:
         heat *= 2.0
 
 
-def _joined(parts: Sequence[Points]) -> Points:
+def joined(parts: Sequence[Points]) -> Points:
     """Concatenate grids."""
     if len(parts) == 1:
         return parts[0]

@@ -83,18 +83,6 @@ class SteadyLine:
         return figures
 
 
-@dataclass(frozen=True)
-class _Even:
-    """Evenly spaced values."""
-
-    step_s: float
-    value: Array
-
-    @property
-    def length_s(self) -> float:
-        return self.step_s * len(self.value)
-
-
 def wander_in(time_s: Array, residual_m: Array, white_m2_per_Hz: float) -> Wander | None:
     """Return slow noise far above the white part; None if it is not present or the record is short.
 
@@ -103,22 +91,23 @@ def wander_in(time_s: Array, residual_m: Array, white_m2_per_Hz: float) -> Wande
         residual_m: residual after the motion is removed, shape (n,), m; finite.
         white_m2_per_Hz: one-sided level of the white noise, 2σ²Δt.
     """
-    even = _evenly(time_s, residual_m)
-    if even is None or not white_m2_per_Hz > 0:
+    if len(time_s) < 2 or time_s[-1] - time_s[0] < MIN_LENGTH_S or not white_m2_per_Hz > 0:
         return None
-    n = len(even.value)
-    from_middle = np.linspace(-1.0, 1.0, n)
-    straight = np.polynomial.polynomial.polyfit(from_middle, even.value, 1)
-    taper = np.hanning(n)
-    spectrum = np.fft.rfft((even.value - straight[0] - straight[1] * from_middle) * taper)
-    power = np.abs(spectrum) ** 2 * 2 * even.step_s / float(taper @ taper)
-    frequency = np.arange(len(power)) / even.length_s
-    slow = (frequency >= _FIRST_ORDINATE / even.length_s) & (frequency <= BELOW_Hz)
+    time, even = thinned(time_s, residual_m)
+    step_s = float(time[1] - time[0])
+    length_s = step_s * len(even)
+    from_middle = np.linspace(-1.0, 1.0, len(even))
+    straight = np.polynomial.polynomial.polyfit(from_middle, even, 1)
+    taper = np.hanning(len(even))
+    spectrum = np.fft.rfft((even - straight[0] - straight[1] * from_middle) * taper)
+    power = np.abs(spectrum) ** 2 * 2 * step_s / float(taper @ taper)
+    frequency = np.arange(len(power)) / length_s
+    slow = (frequency >= _FIRST_ORDINATE / length_s) & (frequency <= BELOW_Hz)
     if slow.sum() < _MIN_ORDINATES or float(np.median(power[slow])) < _MIN_WANDER_RATIO * math.log(2) * white_m2_per_Hz:
         return None
     line = np.polynomial.polynomial.polyfit(np.log(frequency[slow]), np.log(np.maximum(power[slow], 1e-300)), 1)
-    lacking = BELOW_Hz / (BELOW_Hz - _FIRST_ORDINATE / even.length_s)  # assumes the same density below the first one
-    rms = math.sqrt(float(power[slow].sum()) / even.length_s * lacking)
+    lacking = BELOW_Hz / (BELOW_Hz - _FIRST_ORDINATE / length_s)  # assumes the same density below the first one
+    rms = math.sqrt(float(power[slow].sum()) / length_s * lacking)
     return Wander(rms, max(0.0, -float(line[1])))
 
 
@@ -196,14 +185,6 @@ def thinned(time_s: Array, value: Array) -> tuple[Array, Array]:
     count = len(even) // many
     middle = grid[: count * many].reshape(count, many).mean(axis=1)
     return middle, even[: count * many].reshape(count, many).mean(axis=1)
-
-
-def _evenly(time_s: Array, value: Array) -> _Even | None:
-    """Return a record thinned by `thinned`; None if it is short."""
-    if len(time_s) < 2 or time_s[-1] - time_s[0] < MIN_LENGTH_S:
-        return None
-    time, even = thinned(time_s, value)
-    return _Even(float(time[1] - time[0]), even)
 
 
 def _peak(power: Array, k: int) -> float:

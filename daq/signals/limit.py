@@ -15,12 +15,12 @@ Source: docs/theory/detection_of_steady_states.md, "Where it ends".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, WhitenedMeans
+from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, WhitenedMeans, joined
 from daq.signals.decay import newest_counts
 from rig_basics.arrays import Array
 
@@ -163,21 +163,18 @@ class _Averaged:
 
     def limit(self, scatter: Array) -> ApproachLimit:
         """Return the mean over all points."""
-        evidence = np.concatenate([points.evidence for points in self.looks.values()])
-        weight = np.exp(evidence - _log_sum([evidence]))
-        weights = {name: math.exp(_log_sum([p.evidence]) - _log_sum([evidence])) for name, p in self.looks.items()}
-        values, variance, left, size, rates = (
-            np.concatenate([getattr(points, name) for points in self.looks.values()])
-            for name in ("values", "variance", "left", "size", "rate_per_s")
-        )
-        mean = weight @ values
-        off = values - mean
-        own = weight @ (variance + (MODEL_SHARE * size) ** 2)
-        moving = np.isfinite(rates)
+        every = joined(list(self.looks.values()))
+        total = float(np.logaddexp.reduce(every.evidence))
+        weight = np.exp(every.evidence - total)
+        weights = {name: math.exp(float(np.logaddexp.reduce(p.evidence)) - total) for name, p in self.looks.items()}
+        mean = weight @ every.values
+        off = every.values - mean
+        own = weight @ (every.variance + (MODEL_SHARE * every.size) ** 2)
+        moving = np.isfinite(every.rate_per_s)
         share = float(weight[moving].sum())
-        rate = float(weight[moving] @ rates[moving]) / share if share > _MIN_MOVING_SHARE else math.nan
+        rate = float(weight[moving] @ every.rate_per_s[moving]) / share if share > _MIN_MOVING_SHARE else math.nan
         covariance = np.diag(own) + (off * weight[:, None]).T @ off
-        return ApproachLimit(mean, covariance, weight @ left, weights, self.endless, rate, self.windows, scatter)
+        return ApproachLimit(mean, covariance, weight @ every.left, weights, self.endless, rate, self.windows, scatter)
 
 
 def _average(stretch: WhitenedMeans) -> _Averaged:
@@ -186,17 +183,10 @@ def _average(stretch: WhitenedMeans) -> _Averaged:
     for family in ENDING_BENT if stretch.bent else ENDING:
         looks[family.name] = stretch.integrated(family, max(float(p.evidence.max()) for p in looks.values()))
     most = max(float(points.evidence.max()) for points in looks.values())
-    endless = _log_sum([stretch.integrated(ENDLESS, most).evidence])
-    ending = _log_sum([points.evidence for points in looks.values()])
+    endless = float(np.logaddexp.reduce(stretch.integrated(ENDLESS, most).evidence))
+    ending = float(np.logaddexp.reduce(joined(list(looks.values())).evidence))
     return _Averaged(looks, 1 / (1 + math.exp(min(ending - endless, 700.0))), len(stretch.edges_s))
 
 
 def _fits(chi2: float, dof: float) -> bool:
     return chi2 <= dof + _FITS * math.sqrt(2 * max(dof, 0.0))
-
-
-def _log_sum(evidence: Sequence[Array]) -> float:
-    """Return log Σ e^x over all points."""
-    joined = np.concatenate(evidence)
-    most = float(joined.max())
-    return most + math.log(float(np.exp(joined - most).sum()))

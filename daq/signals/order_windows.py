@@ -96,11 +96,6 @@ class Cut:
         return out
 
 
-def squared(values: NDArray[Any]) -> Array:
-    """Return the squares, element by element."""
-    return values * values
-
-
 def cut_windows(
     time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int
 ) -> Cut | None:

@@ -15,12 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.signals.approach import Approach, bound
+from daq.signals.decay import MIN_WINDOWS
 from daq.signals.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
 from rig_basics.arrays import Array
 from rig_basics.texts import number_of
 
 _SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
-_MAX_WINDOWS = 30
+_WINDOW_S = 1.0  # least length of a window, which is rounded up to whole revolutions
+_MAX_WINDOWS = 30  # since the release
+_LOCKED_TOLERANCE_M = 5e-6
 DISPLACEMENTS_S = 40.0
 """The newest displacements that a decision needs, s: more than its windows. With fewer it is another decision."""
 # Smallest width of a mean as a share of the tolerance. Angles show the departure from an unstable balance, small at
@@ -93,8 +96,6 @@ class SettlingLimits:
 
     Attributes:
         angle_tolerance_rad, amplitude_tolerance_m: largest allowed remaining change.
-        window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
-            to 30 windows since the release are used.
         linger_s: time after release before which a pendulum pair that still has its gap at release is not accepted as
             settled, s: it leaves an unstable balance exponentially, too slowly at first to be detected.
         average_s: period before the last mark for `mean_off_rad` and `mean_off_m`, s.
@@ -104,8 +105,6 @@ class SettlingLimits:
 
     angle_tolerance_rad: float = math.radians(0.1)
     amplitude_tolerance_m: float = 3e-6
-    window_s: float = 1.0
-    windows: int = 9
     linger_s: float = 30.0
     average_s: float = 2.0
     slack: float = 1.0
@@ -118,33 +117,33 @@ def settled(
     signals: RotorSignals,
     limits: SettlingLimits = _USUAL_LIMITS,
     *,
+    angle_step_rad: float,
     release_time_s: float | None = None,
-    angle_step_rad: float | None = None,
 ) -> Settling:
     """Decide whether released pendulums and the orbit have reached their steady state at the end of the signals.
 
     Args:
         signals: angles, tachometer marks and displacements.
         limits: tolerances and windows.
+        angle_step_rad: step of the encoders' code; 0 if the angles are not rounded.
         release_time_s: time of the pendulums' release; None if unknown.
-        angle_step_rad: step of the encoders' code; None: the smallest change in the samples.
 
     Returns:
         Settling; `settled` is False, with the reason, if the signals are too short or too sparse.
 
     Source: docs/theory/detection_of_steady_states.md.
     """
-    time_s, angle_rad, windows = signals.angle_time_s, signals.angle_rad, limits.windows
+    time_s, angle_rad = signals.angle_time_s, signals.angle_rad
     marks = signals.mark_time_s, signals.mark_phase_rad
-    edges = whole_revolutions(*marks, limits.window_s, _MAX_WINDOWS)
+    edges = whole_revolutions(*marks, _WINDOW_S, _MAX_WINDOWS)
     if release_time_s is not None:
         edges = edges[edges >= release_time_s]
-    if len(edges) <= windows:
-        return _unknown(f"fewer than {number_of(windows, 'window')} of {limits.window_s:g} s since release")
+    if len(edges) <= MIN_WINDOWS:
+        return _too_few("since release")
     if _change(time_s, angle_rad, edges[-4:]) > _FAR * limits.angle_tolerance_rad:
-        edges = edges[-windows - 1 :]
-    angles = angle_means(time_s, angle_rad, *marks, edges, angle_step_rad, windows)
-    orbit = signals.amplitude_means(edges, windows)
+        edges = edges[-MIN_WINDOWS - 1 :]
+    angles = angle_means(time_s, angle_rad, *marks, edges, angle_step_rad, MIN_WINDOWS)
+    orbit = signals.amplitude_means(edges, MIN_WINDOWS)
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
@@ -157,34 +156,32 @@ def settled(
         (180 / math.pi, "°"),
     )
     whirling = _judged_amplitudes(orbit, limits.amplitude_tolerance_m, limits.slack, limits.average_s)
-    slip = _slipping(angles.means[-windows:])
+    slip = _slipping(angles.means[-MIN_WINDOWS:])
     held = release_time_s is not None and _still_as_released(
         time_s, angle_rad, angles.means[-1], edges[-1], release_time_s, limits.linger_s
     )
     others = [
-        _speed_change(*marks, edges[-windows - 1 :]),
+        _speed_change(*marks, edges[-MIN_WINDOWS - 1 :]),
         slip,
         "pendulums still stand as released; they may be on an unstable balance" if held else "",
     ]
     return _decision(orbit, turning, whirling, others, slipping=bool(slip))
 
 
-def locked_settled(
-    signals: RotorSignals, *, amplitude_tolerance_m: float = 5e-6, window_s: float = 1.0, windows: int = 9
-) -> Settling:
-    """Decide whether the locked orbit is steady, before the pendulums are released; limits as in `SettlingLimits`.
+def locked_settled(signals: RotorSignals) -> Settling:
+    """Decide whether the locked orbit is steady, before the pendulums are released: amplitudes to 5 µm.
 
     The pendulum angles are not used.
     """
     marks = signals.mark_time_s, signals.mark_phase_rad
-    edges = whole_revolutions(*marks, window_s, _MAX_WINDOWS)
-    if len(edges) <= windows:
-        return _unknown(f"fewer than {number_of(windows, 'window')} of {window_s:g} s at speed")
-    orbit = signals.amplitude_means(edges, windows)
+    edges = whole_revolutions(*marks, _WINDOW_S, _MAX_WINDOWS)
+    if len(edges) <= MIN_WINDOWS:
+        return _too_few("at speed")
+    orbit = signals.amplitude_means(edges, MIN_WINDOWS)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _judged_amplitudes(orbit, amplitude_tolerance_m, 1.0, window_s)
-    return _decision(orbit, None, whirling, [_speed_change(*marks, edges[-windows - 1 :])])
+    whirling = _judged_amplitudes(orbit, _LOCKED_TOLERANCE_M, 1.0, _WINDOW_S)
+    return _decision(orbit, None, whirling, [_speed_change(*marks, edges[-MIN_WINDOWS - 1 :])])
 
 
 @dataclass(frozen=True)
@@ -279,6 +276,10 @@ def _decision(
         more_s=lasting if why else 0.0,
         approaching=bounded and bool(why) and not any(others),
     )
+
+
+def _too_few(since: str) -> Settling:
+    return _unknown(f"fewer than {number_of(MIN_WINDOWS, 'window')} of {_WINDOW_S:g} s {since}")
 
 
 def _unknown(why: str) -> Settling:

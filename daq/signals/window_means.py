@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from daq.signals.order_noise import OrderNoise
-from daq.signals.order_windows import cut_windows, squared
+from daq.signals.order_windows import cut_windows
 from daq.signals.rounding import code_noise, half_width, rounding_terms
 from rig_basics.arrays import Array
 
@@ -19,9 +19,6 @@ _MIN_RIPPLE = 0.5
 _MAX_CHANGE = 0.25
 # Windows meet if they are less than this share of a window's length apart.
 _MEETING = 1e-6
-_NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
-# Step that is assumed for a code that never changes.
-_DEFAULT_STEP_RAD = 2 * math.pi / 4096
 
 
 @dataclass(frozen=True)
@@ -82,44 +79,43 @@ def angle_means(
     mark_time_s: Array,
     mark_phase_rad: Array,
     edges: Array,
-    step_rad: float | None,
+    step_rad: float,
     newest: int,
 ) -> WindowMeans | None:
     """Return the mean angles; None if too many samples are missing in the newest windows.
 
     Args:
-        step_rad: step of the encoders' code; None: the smallest change in the samples.
+        step_rad: step of the encoders' code; 0 if the angles are not rounded.
         newest: number of windows, counted from the end, that must have enough samples.
     """
     cut = cut_windows(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, newest)
     if cut is None:
         return None
-    step = _step(angles_rad) if step_rad is None else step_rad
     fit = cut.orders()
     kept = cut.enough
-    noise = np.sqrt(cut.mean(squared(np.diff(cut.residual(fit))), kept) / (2 * cut.counts[kept, None]))
+    noise = np.sqrt(cut.mean(np.square(np.diff(cut.residual(fit))), kept) / (2 * cut.counts[kept, None]))
     once, twice = (np.median(np.hypot(*fit[k : k + 2, kept]), axis=0) for k in (1, 3))
-    codes = cut.values / step if step > 0 else np.zeros_like(cut.values)
+    codes = cut.values / step_rad if step_rad > 0 else np.zeros_like(cut.values)
     off = codes - np.repeat(codes[:, cut.where[:-1].clip(max=codes.shape[1] - 1)], cut.counts, axis=1)
     off -= np.repeat(np.rint(cut.mean(off)).T, cut.counts, axis=1)
     seen = code_noise(cut.mean(1.0 * (off < -0.5), kept), cut.mean(1.0 * (off > 0.5), kept), cut.counts[kept, None])
     means = np.asarray(fit[0, kept], np.float64)
     change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
-    moving = np.maximum(change[1:], change[:-1]) > _MAX_CHANGE * step  # a sweep over codes is not noise
+    moving = np.maximum(change[1:], change[:-1]) > _MAX_CHANGE * step_rad  # a sweep over codes is not noise
     seen = np.where(moving, np.nan, seen)
     half = np.array(
         [
-            half_width(step, _usual(s) if max(a, b) < 0.5 * step else 0.0, a, b)
+            half_width(step_rad, _usual(s) if max(a, b) < 0.5 * step_rad else 0.0, a, b)
             for s, a, b in zip(seen.T, once, twice, strict=True)
         ]
     )
     white = np.median(noise, axis=0)
     scatter = white * math.sqrt(float(np.median(cut.counts[kept])))
     rounding = [
-        rounding_terms(step, _dither(_usual(s), float(all_), max(a, b), step), a, b)
+        rounding_terms(step_rad, _dither(_usual(s), float(all_), max(a, b), step_rad), a, b)
         for s, all_, a, b in zip(seen.T, scatter, once, twice, strict=True)
     ]
-    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * white, white, np.array(rounding), step)
+    return WindowMeans(cut.edges[kept], means, half + _DEVIATIONS * white, white, np.array(rounding), step_rad)
 
 
 def _usual(noise: Array) -> float:
@@ -168,7 +164,7 @@ def orbit_means(
     for cut in (x, y):
         fit = cut.orders()
         columns += [fit[1, kept, 0], -fit[2, kept, 0]]
-        each = np.sqrt(cut.mean(squared(np.diff(cut.residual(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
+        each = np.sqrt(cut.mean(np.square(np.diff(cut.residual(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         white = float(np.median(each))
         beyond.append(cut.order_noise(fit, white))
         noise += [white * beyond[-1].real, white * beyond[-1].imaginary]
@@ -208,10 +204,3 @@ def amplitude_means(
         rounding=np.empty((2, 0)),
         neighbours=orbit.neighbours[::2],
     )
-
-
-def _step(angles: Array) -> float:
-    """Return the encoders' step as found in the samples."""
-    changes = np.abs(np.diff(angles, axis=0))
-    changes = changes[changes > _NO_STEP_RAD]  # comparisons with nan are False
-    return float(changes.min()) if len(changes) else _DEFAULT_STEP_RAD

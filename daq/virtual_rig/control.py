@@ -73,14 +73,12 @@ class ControlServer:
                 request = _json_object(line)
                 if request is None:
                     stream.write(b'{"error": "expected one JSON object a line"}\n')
-                    stream.flush()
                     return
                 allowed = allowed or hmac.compare_digest(
                     str(request.get("token", "")).encode(errors="replace"), self._token.encode()
                 )
                 if not allowed:
                     stream.write(b'{"error": "expected the token the rig printed"}\n')
-                    stream.flush()
                     return
                 answer: queue.Queue[dict[str, Any]] = queue.Queue(1)
                 with self._fetched:

@@ -7,15 +7,15 @@ identifies its note as outdated.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from daq.errors import DeviceError
 from daq.virtual_rig.control import OperatorLine
@@ -65,6 +65,9 @@ class Running:
     ports: Mapping[str, str]
 
 
+_NOTE: TypeAdapter[Running] = TypeAdapter(Running)
+
+
 def notes_folder() -> Path:
     """Return the folder of the notes of this user. It is created if it is missing.
 
@@ -103,8 +106,8 @@ def leave_note(running: Running, path: Path | None = None) -> Path:
     path = notes_folder() / f"virtual-{running.control_port}.json" if path is None else path
     fresh = path.with_name(f"{path.name}.{running.pid}")
     fresh.unlink(missing_ok=True)
-    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-        json.dump(asdict(running), file)
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(_NOTE.dump_json(running))
     fresh.replace(path)
     return path
 
@@ -117,15 +120,8 @@ def read_note(path: Path) -> Running:
         OSError: the file cannot be read.
     """
     try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
-        return Running(
-            str(found["rig"]),
-            int(found["pid"]),
-            int(found["control_port"]),
-            str(found["token"]),
-            {str(name): str(port) for name, port in found["ports"].items()},
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return _NOTE.validate_json(path.read_bytes())
+    except ValidationError as error:
         raise RigConfigError(f"{path}: expected the note of a virtual rig, as the rig writes it") from error
 
 
@@ -146,7 +142,7 @@ def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
             return running, OperatorLine(running.control_port, running.token)
         except (FileNotFoundError, ConnectionError) as error:
             raise NoRigRuns(f"{control}: no virtual rig runs there; start one with this note") from error
-    alive = _alive()
+    alive = [(path, *found) for path in sorted(notes_folder().glob("virtual-*.json")) if (found := _answering(path))]
     if not alive:
         raise NoRigRuns("no virtual rig runs; start one first")
     if len(alive) > 1:
@@ -157,31 +153,22 @@ def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
     return running, line
 
 
-def _alive() -> list[tuple[Path, Running, OperatorLine]]:
-    """Return the rigs that answer. Notes of rigs that were killed are removed."""
-    found: list[tuple[Path, Running, OperatorLine]] = []
-    for path in sorted(notes_folder().glob("virtual-*.json")):
-        try:
-            running = read_note(path)
-        except (OSError, RigConfigError) as error:  # the file is being removed, or is not a note
-            _log.debug("note skipped: %s", error)
-            continue
-        try:
-            line = OperatorLine(running.control_port, running.token)
-        except ConnectionRefusedError:
-            _log.debug("note of a rig that does not run any more removed: %s", path)
-            path.unlink(missing_ok=True)
-            continue
-        except OSError as error:
-            _log.info("virtual rig of %s not reached: %s", path, error)
-            continue
-        try:
-            line.ask("truth")
-        except (OSError, ValueError) as error:  # another program uses the port now
-            _log.info("note removed, because another program answers on the port of %s: %s", path, error)
+def _answering(path: Path) -> tuple[Running, OperatorLine] | None:
+    """Return the rig of a note if it answers. The note of a rig that was killed is removed."""
+    line = None
+    try:
+        running = read_note(path)
+        line = OperatorLine(running.control_port, running.token)
+        line.ask("truth")
+    except RigConfigError as error:
+        _log.debug("note skipped: %s", error)
+    except (OSError, ValueError) as error:  # no rig, or another program, uses the port now; the file may be gone
+        _log.info("virtual rig of %s not reached: %s", path, error)
+        if line is not None:
             line.close()
+        if line is not None or isinstance(error, ConnectionRefusedError):
             with ignoring(_log, "removing a note", OSError):
-                path.unlink()
-            continue
-        found.append((path, running, line))
-    return found
+                path.unlink(missing_ok=True)
+    else:
+        return running, line
+    return None

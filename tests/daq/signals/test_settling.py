@@ -6,12 +6,25 @@ import math
 import numpy as np
 import pytest
 
-from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
+from daq.signals import settling
+from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled
 from tests.daq.signals.known_motions import average
 from tests.effort import cases
 
 STEP = 2 * np.pi / 4096
 SPEED = 49.0
+
+
+def settled(
+    data: RotorSignals,
+    limits: SettlingLimits | None = None,
+    *,
+    angle_step_rad: float = STEP,
+    release_time_s: float | None = None,
+) -> Settling:
+    return settling.settled(
+        data, limits or SettlingLimits(), angle_step_rad=angle_step_rad, release_time_s=release_time_s
+    )
 
 
 def signals(
