@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
 from daq.drivers.simulated import FarEnd, FaultKind
 from rig_basics.units import RPM
 
@@ -81,6 +83,7 @@ class SimulatedMotor(FarEnd):
         self._now_s = 0.0
         self._faults = {name: kind.end for name, kind in self.fault_kinds.items() if kind.end is not None}
         self._runaway_rpm: float | None = None
+        self._newest_rpm = 0.0  # speed in the newest report
         self.emergencies: list[int] = []
 
     @property
@@ -91,6 +94,13 @@ class SimulatedMotor(FarEnd):
     @property
     def _reported_rpm(self) -> float:
         return self.speed_rpm * self._faults["reported share"]
+
+    def _reported_speeds(self, count: int) -> list[float]:
+        """Return the speeds in the reports that are due, rpm: the rotor's since the newest report, at equal times."""
+        if count:
+            before, self._newest_rpm = self._newest_rpm, self._reported_rpm
+            return np.linspace(before, self._newest_rpm, count + 1)[1:].tolist()
+        return []
 
     @property
     def watchdog_ms(self) -> int:

@@ -10,7 +10,7 @@ from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.frame import framed, near_resonance, spin_up
 from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import speed_refusal
-from daq.signals.settling import Settling, SettlingLimits
+from daq.signals.settling import WINDOW_S, Settling, SettlingLimits
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -21,7 +21,6 @@ _MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
 _SECOND_LIMITS = SettlingLimits()
-_LOOK_S = _SECOND_LIMITS.window_s  # a decision changes with its newest window
 _BEFORE_RELEASE_S = 4.0
 _AFTER_RELEASE_S = 3.0  # after the release before the first look, s
 _AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, s
@@ -48,7 +47,7 @@ def point_states(request: GuidedTestRequest, rpm: float, slips_s: float = math.i
             "steady orbit",
             waits_for="an orbit of steady amplitude",
             look=orbit_steady,
-            period_s=_LOOK_S,
+            period_s=WINDOW_S,
             rpm=rpm,
             usual_s=12.0,
             limit_s=_MAX_LOCKED_STEADY_S,
@@ -113,7 +112,7 @@ def settle_state(request: GuidedTestRequest, rpm: float, slips_s: float, free: b
         "settle",
         waits_for="pendulums and orbit to be steady, and a second look",
         look=all_steady,
-        period_s=_LOOK_S,
+        period_s=WINDOW_S,
         rpm=rpm,
         usual_s=30.0,
         limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S,

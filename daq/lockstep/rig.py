@@ -18,11 +18,11 @@ from daq.log.file import LogFile
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
-STEP_S = (0.048, 0.08)
+STEP_S = (0.024, 0.048)
 """Range of the random time for which an adapter collects bytes before it passes them to the host, s.
 
-Common USB adapters deliver every 16 ms; a busy host takes every third to fifth delivery. A message of the host ends the
-time at once. With a constant period the adapter and the device clocks would beat: the delay of the bytes would grow
+Common USB adapters deliver every 16 ms; a busy host takes every second or third delivery. A message of the host ends
+the time at once. With a constant period the adapter and the device clocks would beat: the delay of the bytes would grow
 slowly, which looks like a wrong clock rate.
 """
 _LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device

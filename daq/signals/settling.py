@@ -21,7 +21,8 @@ from rig_basics.arrays import Array
 from rig_basics.texts import number_of
 
 _SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
-_WINDOW_S = 1.0  # least length of a window, which is rounded up to whole revolutions
+WINDOW_S = 1.0
+"""Least length of a window, s, which is rounded up to whole revolutions: a decision changes with its newest one."""
 _MAX_WINDOWS = 30  # since the release
 _LOCKED_TOLERANCE_M = 5e-6
 DISPLACEMENTS_S = 40.0
@@ -135,7 +136,7 @@ def settled(
     """
     time_s, angle_rad = signals.angle_time_s, signals.angle_rad
     marks = signals.mark_time_s, signals.mark_phase_rad
-    edges = whole_revolutions(*marks, _WINDOW_S, _MAX_WINDOWS)
+    edges = whole_revolutions(*marks, WINDOW_S, _MAX_WINDOWS)
     if release_time_s is not None:
         edges = edges[edges >= release_time_s]
     if len(edges) <= MIN_WINDOWS:
@@ -174,13 +175,13 @@ def locked_settled(signals: RotorSignals) -> Settling:
     The pendulum angles are not used.
     """
     marks = signals.mark_time_s, signals.mark_phase_rad
-    edges = whole_revolutions(*marks, _WINDOW_S, _MAX_WINDOWS)
+    edges = whole_revolutions(*marks, WINDOW_S, _MAX_WINDOWS)
     if len(edges) <= MIN_WINDOWS:
         return _too_few("at speed")
     orbit = signals.amplitude_means(edges, MIN_WINDOWS)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _judged_amplitudes(orbit, _LOCKED_TOLERANCE_M, 1.0, _WINDOW_S)
+    whirling = _judged_amplitudes(orbit, _LOCKED_TOLERANCE_M, 1.0, WINDOW_S)
     return _decision(orbit, None, whirling, [_speed_change(*marks, edges[-MIN_WINDOWS - 1 :])])
 
 
@@ -279,7 +280,7 @@ def _decision(
 
 
 def _too_few(since: str) -> Settling:
-    return _unknown(f"fewer than {number_of(MIN_WINDOWS, 'window')} of {_WINDOW_S:g} s {since}")
+    return _unknown(f"fewer than {number_of(MIN_WINDOWS, 'window')} of {WINDOW_S:g} s {since}")
 
 
 def _unknown(why: str) -> Settling:

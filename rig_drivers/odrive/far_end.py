@@ -204,7 +204,6 @@ class SimulatedOdrive(SimulatedMotor):
                 error = self.error | (self.state == _UNDEFINED and self._settings.firmware == "0.6")
                 flags = bytes([self._detail != 0 and self._settings.firmware == "0.5", 0, 0])
                 self._emit(1, error.to_bytes(4, "little") + bytes([self.state]) + flags)
-        for _ in range(self._estimates.due(self._now_s, self._settings.estimates_ms * 1e-3)):
+        for rpm in self._reported_speeds(self._estimates.due(self._now_s, self._settings.estimates_ms * 1e-3)):
             if not self._faults["silent reports"]:
-                speed = self._reported_rpm / 60 * self._settings.gear_ratio
-                self._emit(9, struct.pack("<ff", self._turns, speed))
+                self._emit(9, struct.pack("<ff", self._turns, rpm / 60 * self._settings.gear_ratio))

@@ -253,6 +253,6 @@ class SimulatedDrive(SimulatedMotor):
         if not self._node.operational or self._faults["silent reports"]:
             self._reports.begin(now_s)
             return
-        for _ in range(self._reports.due(now_s, self._report_s)):
-            data = self._profile.pack(self._statusword, self._reported_rpm)
+        for rpm in self._reported_speeds(self._reports.due(now_s, self._report_s)):
+            data = self._profile.pack(self._statusword, rpm)
             self._adapter.out.append(CanFrame(cia301.cob_tpdo(1, self._config.node_id), data))
