@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import sys
 import threading
 import time
@@ -37,12 +38,15 @@ def own_waits() -> Generator[list[str]]:
         elif event == "c_call" and called in _READINGS and not _is_standard(frame):
             found.append(_call(frame, f"time.{getattr(called, '__name__', '')}"))
 
-    before = sys.getprofile()
+    before, collects = sys.getprofile(), gc.isenabled()
+    gc.disable()  # what is called by a collection, a finalizer for example, is not the driver's
     sys.setprofile(watch)
     try:
         yield found
     finally:
         sys.setprofile(before)
+        if collects:
+            gc.enable()
 
 
 def _call(frame: FrameType | None, name: str) -> str:
