@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from itertools import chain
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -38,8 +37,9 @@ if TYPE_CHECKING:
     from live.foxglove.session_connection import FoxgloveConnection
     from live.session_page import LivePage
 
-_BEFORE_POINTS = (("ring-down-x", "ring-down-y"), ("run-up",), ("spin-down",))
-"""Tests before the points, in the order of their fits; a group is fitted together."""
+_BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+_FITTED_TOGETHER = (("ring-down-x", "ring-down-y"), ("run-up",), ("spin-down",))
+"""Groups of these tests, in the order of their fits: that of the spin-down uses the run-up."""
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
@@ -132,7 +132,7 @@ def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) ->
 def _steps(rig: Rig) -> list[str]:
     tests = possible_tests(rig)
     points = [test for test in tests if point_of(test)]
-    before = [test for test in chain(*_BEFORE_POINTS) if test in tests]
+    before = [test for test in _BEFORE_POINTS if test in tests]
     return ["start", *before, "identify", *points, "report"]
 
 
@@ -199,7 +199,7 @@ class _Campaign:
         """Run the campaign and return its result."""
         setup = self._setup
         self._progress.step("start")
-        wanted = (*chain(*_BEFORE_POINTS), *(f"point-{name}" for name in setup.rig.points))
+        wanted = (*_BEFORE_POINTS, *(f"point-{name}" for name in setup.rig.points))
         if left_out := [test for test in wanted if test not in self._steps]:
             self._progress.notify(f"no device for: {', '.join(left_out)}")
         with setup.far as simulated:
@@ -220,9 +220,13 @@ class _Campaign:
     def _record_all(self, tests: Procedures, plugged: Rig) -> str:
         """Record the tests before the points, identify from them, record the points; return the parameters' name."""
         workbench, refinements = self._workbench, self._refinements
-        for fitted in _BEFORE_POINTS:
-            logs = [self._record(tests, plugged, test) for test in fitted if test in self._steps]
-            refinements += [workbench.refine(plugged, logs)] if logs else []
+        groups = [[test for test in group if test in self._steps] for group in _FITTED_TOGETHER]
+        logs = dict[str, Path]()
+        for test in (step for step in self._steps if step in _BEFORE_POINTS):
+            logs[test] = self._record(tests, plugged, test)
+            while groups and logs.keys() >= set(groups[0]):
+                if group := groups.pop(0):
+                    refinements.append(workbench.refine(plugged, [logs[fitted] for fitted in group]))
         self._begin("identify")
         parameters = self._setup.folder / "parameters-before-points.toml"
         workbench.wait(workbench.identify(plugged, parameters), self._progress.update)

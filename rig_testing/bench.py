@@ -30,7 +30,7 @@ PLUCK_M = (3e-3, 2e-3)
 """Displacement of the column before it is released, x and y, m."""
 STEP_S = 0.01
 """Period at which the rig moves and passes its bytes to the host, s."""
-_ANSWER_S = 0.3e-3  # time of an immediate answer on the line: it does not wait for the next step
+_ANSWERS_S = (0.3e-3, *(0.5e-3 * k for k in range(1, 9)))  # after a request: an answer does not wait for the next step
 _HOLD_S, _TURN_RAD_S, _RAMP_RAD_S2, _FLICK_RAD_S = 0.3, 20.0, 40.0, 4.0
 
 Items = list[Batch | DeviceEvent]
@@ -164,7 +164,8 @@ class DriverBench:
         """Pass bytes of the host to the device, on a rig that has moved until now."""
         self._move()
         self._came(self.far.receive(data, self.motion.time_s))
-        self.clock.after(_ANSWER_S, self._move, world=True)
+        for seconds in _ANSWERS_S:
+            self.clock.after(seconds, self._move, world=True)
 
     def _step(self) -> None:
         self._move()

@@ -13,7 +13,7 @@ from rig_basics.units import RPM
 COAST_RPM_S, LOOP_RPM_S, QUICK_RPM_S = 30.0, 2000.0, 4000.0
 """Rates of the rotor, rpm/s: by bearings and windage, without torque; by a speed loop at its current limit, faster than
 any ramp of the host; by a quick stop."""
-_MAX_LATE_S = 0.1  # longest time, s, for which a stalled simulation sends its reports afterwards
+_MAX_LATE_S = 0.05  # longest time, s, for which a stalled simulation sends its reports afterwards
 
 
 class TurnedRotor(Protocol):

@@ -18,12 +18,11 @@ from daq.log.file import LogFile
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
-STEP_S = (0.024, 0.048)
+STEP_S = (0.016, 0.032)
 """Range of the random time for which an adapter collects bytes before it passes them to the host, s.
 
-Common USB adapters deliver every 16 ms; a busy host takes every second or third delivery. A message of the host ends
-the time at once. With a constant period the adapter and the device clocks would beat: the delay of the bytes would grow
-slowly, which looks like a wrong clock rate.
+Common USB adapters deliver every 16 ms; a busy host takes every second delivery. With a constant period the adapter and
+the device clocks would beat: the delay of the bytes would grow slowly, which looks like a wrong clock rate.
 """
 _LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device
 
@@ -74,11 +73,10 @@ class LockstepRig:
         self.edge: Edge = Edge(self._connect, self._places, self.disk)
         self.turn_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
-        self._planned = 0  # number of the exchange that is planned; earlier plans are void
-        self._is_soon = False
+        self._exchange_is_due = False
         for cable in self.cables.values():
             cable.on_write = self._exchange_soon
-        self._exchange()
+        self._step()
 
     def __enter__(self) -> LockstepRig:
         return self
@@ -100,22 +98,19 @@ class LockstepRig:
         cable = self.cables.get(_device_of(port))
         return () if cable is None else (cable.port,)
 
-    def _plan(self, seconds: float) -> None:
-        """Schedule the next exchange, in place of the one that was planned."""
-        self._planned += 1
-        number = self._planned
-        self.clock.after(seconds, lambda: self._exchange() if number == self._planned else None, world=True)
+    def _step(self) -> None:
+        self._exchange()
+        self.clock.after(self._pace.uniform(*self.turn_s), self._step, world=True)
 
     def _exchange_soon(self) -> None:
-        """Schedule an exchange after a write of the host, so that answers do not wait for the adapters."""
-        if not self._is_soon:
-            self._is_soon = True
-            self._plan(_LINE_DELAY_S)
+        """Schedule an exchange after a write of the host, so that answers do not wait for the next regular one."""
+        if not self._exchange_is_due:
+            self._exchange_is_due = True
+            self.clock.after(_LINE_DELAY_S, self._exchange, world=True)
 
     def _exchange(self) -> None:
-        """Exchange the bytes of all cables with the simulated rig, advance its motion and plan the next exchange."""
-        self._is_soon = False
-        self._plan(self._pace.uniform(*self.turn_s))
+        """Exchange the bytes of all cables with the simulated rig and advance its motion."""
+        self._exchange_is_due = False
         received = {name: bytes(cable.sent) for name, cable in self.cables.items() if cable.sent}
         for name in received:
             self.cables[name].sent.clear()

@@ -35,7 +35,8 @@ class SimulatedPolledLaser(FarEnd):
         self._settings, self._beam = settings, beam
         self._dialect = wire.DIALECTS[settings.dialect]
         self._request = bytearray()
-        self._asked: list[tuple[float, bytes]] = []  # rig time and text of requests that are not answered yet
+        self._asked: list[tuple[float, bytes]] = []  # rig time and text of requests that are not measured yet
+        self._measured: list[tuple[float, bytes]] = []  # rig time and text of answers that are not sent yet
         self._faults: dict[str, bool] = dict.fromkeys(self.fault_kinds, False)
 
     @classmethod
@@ -56,15 +57,15 @@ class SimulatedPolledLaser(FarEnd):
 
     def sample(self, motion: MotionInterval) -> bytes:
         """Return the answers that are due in an interval of motion."""
-        out, later = b"", list[tuple[float, bytes]]()
-        for asked_s, request in self._asked:
-            if asked_s + _ANSWER_S > motion.time_s[-1]:
-                later.append((asked_s, request))
-                continue
+        until_s = float(motion.time_s[-1])
+        while self._asked and self._asked[0][0] + 0.5 * _ANSWER_S <= until_s:
+            asked_s, request = self._asked.pop(0)
             device_s = np.atleast_1d(self._beam.clock.device_s(asked_s + 0.5 * _ANSWER_S))
-            out += self._answer(request, float(self._beam.reading(motion, device_s)[0]))
-        self._asked = later
-        return out
+            answer = self._answer(request, float(self._beam.reading(motion, device_s)[0]))
+            self._measured.append((asked_s + _ANSWER_S, answer))
+        due = [answer for due_s, answer in self._measured if due_s <= until_s]
+        self._measured = self._measured[len(due) :]
+        return b"".join(due)
 
     def _answer(self, request: bytes, reading_m: float) -> bytes:
         if self._faults["refuses"] and self._settings.dialect != "HL-G1":
@@ -89,4 +90,5 @@ class SimulatedPolledLaser(FarEnd):
         """See FarEnd. Requests before the loss of the supply are not answered."""
         super().power(on, now_s)
         self._asked.clear()
+        self._measured.clear()
         self._request.clear()

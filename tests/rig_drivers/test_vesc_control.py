@@ -804,7 +804,6 @@ def test_it_is_identified() -> None:
     talk.replies.put("stale")
     known = DRIVER.open("drive", SETTINGS, talk)
     assert known == {
-        "driver": "vesc",
         "firmware": "6.05",
         "hardware": "60_MK5",
         "serial": "ab" * 12,
