@@ -52,6 +52,7 @@ NOT_CARRIED_OUT = {"tls://SCHEDULER": "needs machines with certificates; see tes
 OWN_CODES = {
     "rig devices --ask --port": {3},  # this machine has no such ports
     "rig check": {0, 3},  # on a busy machine virtual devices are late
+    "rig demo --fault": {1},  # the points fail, as they should
     "rig validate": {0, 1},  # by design a verdict is wrong once in twenty
     "rig replay run.mcap --to pty --speed 1": {0, 3},  # those who check the devices leave before its end
     "rig record my.toml -o again.mcap": {0, 3},  # Ctrl-C while the rotor turns in the log that is played

@@ -326,6 +326,8 @@ def state_of(far: FarEnd) -> dict[str, Any]:
     """What a device would keep of a command, without its clocks, noise and request buffers."""
     kept = ("parameters", "_stored", "streaming", "state", "_objects", "_target_rpm", "emergencies", "_command")
     found = {key: copy.deepcopy(value) for key, value in vars(far).items() if key in kept}
+    if far.facts().get("watchdog_ms"):
+        found.pop("emergencies", None)  # it reports that its host is silent again
     commands = vars(far).get("_commands")
     if commands is not None:
         found |= {key: getattr(commands, key) for key in ("streaming", "rate_Hz", "outputs")}
