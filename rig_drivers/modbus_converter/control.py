@@ -225,7 +225,7 @@ class ConverterControl(HostCommand):
         r, code = self._registers, self.fault_code()
         if code is None or code != r.watchdog_fault:
             raise DeviceError(f"drive: it has a fault{self.why() or '; its code is not readable'}. {_REMEDY}")
-        self.was_reset = f"the drive had the fault of a missing host (code {code}); it was reset"
+        self.was_reset: str = f"the drive had the fault of a missing host (code {code}); it was reset"
         self._confirmed([self._write(r.control, word) for word in (r.stop, r.reset, r.stop)])
         while self.state in (states.FAULT, states.UNKNOWN):
             yield self._but(f"the fault stays. {_REMEDY}")

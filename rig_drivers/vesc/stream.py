@@ -111,7 +111,7 @@ class VescPipeline(Pipeline):
     ) -> None:
         super().__init__(device)
         self._line = line(device, self.losses)
-        self.losses |= {"unanswered": 0, "unreadable_answers": 0}
+        self.losses.update(unanswered=0, unreadable_answers=0)
         self.answers: list[wire.Values] = []
         self._pole_pairs = settings.pole_pairs
         self._target_rpm, self._command = 0.0, NOTHING

@@ -69,6 +69,7 @@ class SimulatedDrive(SimulatedMotor):
         self._profile, self._halted = profile_of(config), False
         self._second_due_s = 0.0
         self._adapter, self._reports = Adapter(), Periodic()
+        self.state: str = cia402.SWITCH_ON_DISABLED
         self._target_rpm = 0.0
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._without_supply = False
