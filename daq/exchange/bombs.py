@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import mmap
 import os
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 from daq.exchange.errors import ExchangeError
@@ -18,6 +18,10 @@ _INT32, _MATRIX, _COMPRESSED = 5, 14, 15  # element types of MAT version 5
 _TYPES = frozenset((*range(1, 8), 9, *range(12, 19)))  # all defined types; scipy looks up others beyond its table
 _MAX_DEPTH = 64  # of nested cells and structs
 _MAX_DIMENSIONS = 32
+_PIECE_BYTES = 2**20
+
+_Read = Callable[[int, int], bytes]
+"""Returns some bytes from a place on, or fewer at the end."""
 
 
 def refuse_bomb(path: Path, what: str, size: int) -> None:
@@ -49,45 +53,55 @@ def refuse_mat_bomb(path: Path) -> None:
 
     Raises:
         ExchangeError: the file has one of these properties.
-        OSError, ValueError: the file cannot be read.
+        OSError: the file cannot be read.
         zlib.error: its compressed parts are damaged.
     """
     unpacked = claimed = 0
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    with open(path, "rb") as file:  # not mapped: a file that is cut meanwhile would end the process
+
+        def read(at: int, size: int) -> bytes:
+            file.seek(at)
+            return file.read(size)
+
+        order = {b"IM": "<", b"MI": ">"}.get(read(126, 2))
         if order is None:
             return  # version 4 has neither cells nor compression
         at = 128
-        while at + 8 <= len(data):
-            kind, size = struct.unpack_from(f"{order}II", data, at)
+        while len(tag := read(at, 8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
             if kind == _COMPRESSED:
-                content = _unpacked(path, data[at + 8 : at + 8 + size], unpacked)
+                content = _unpacked(path, read, at + 8, size, unpacked)
                 unpacked += len(content)
-                claimed += _claims(path, content, order, 0, _MAX_BYTES)
+                claimed += _claims(path, lambda at, size, of=content: bytes(of[at : at + size]), order, 0, _MAX_BYTES)
             elif kind == _MATRIX:
-                claimed += _claims(path, data, order, at, at + 8 + size)
+                claimed += _claims(path, read, order, at, at + 8 + size)
             refuse_bomb(path, "", claimed)
             at += 8 + size
 
 
-def _unpacked(path: Path, packed: bytes, before: int) -> bytes:
-    """Return the content of a compressed element, after `before` bytes of other elements.
+def _unpacked(path: Path, read: _Read, at: int, size: int, before: int) -> bytearray:
+    """Return the content of a compressed element at a place, after `before` bytes of other elements.
 
     Raises:
         ExchangeError: the file unpacks to too much; no more than the permitted size was unpacked.
     """
     most = min(_MAX_BYTES, max(_PLAIN_BYTES, _MAX_RATIO * os.stat(path).st_size))
-    content = zlib.decompressobj().decompress(packed, most - before + 1)
-    refuse_bomb(path, "", before + len(content))
+    stream, content = zlib.decompressobj(), bytearray()
+    for start in range(at, at + size, _PIECE_BYTES):
+        piece = read(start, min(_PIECE_BYTES, at + size - start))
+        content += stream.decompress(piece, most - before - len(content) + 1)
+        refuse_bomb(path, "", before + len(content))
+        if not piece or stream.eof:
+            break
     return content
 
 
-def _claims(path: Path, data: bytes | mmap.mmap, order: str, at: int, end: int) -> int:
+def _claims(path: Path, read: _Read, order: str, at: int, end: int) -> int:
     """Return the memory that a matrix and its contents need according to their heads, bytes.
 
     Args:
         path: the file, for messages.
-        data, order: bytes with the matrix, and the sign of their byte order.
+        read, order: reads the bytes with the matrix; sign of their byte order.
         at, end: place of the matrix and its largest end.
 
     Raises:
@@ -97,10 +111,10 @@ def _claims(path: Path, data: bytes | mmap.mmap, order: str, at: int, end: int) 
     inside = [[end, 0]]  # of each open matrix: its end, number of elements
     while inside:
         here = inside[-1]
-        if at + 8 > min(here[0], len(data)):
+        if at + 8 > here[0] or len(tag := read(at, 8)) < 8:
             inside.pop()
             continue
-        kind, size = struct.unpack_from(f"{order}II", data, at)
+        kind, size = struct.unpack(f"{order}II", tag)
         at += 8
         if kind >> 16:  # a short element holds its data in the tag
             kind, size = kind & 0xFFFF, 0
@@ -117,7 +131,8 @@ def _claims(path: Path, data: bytes | mmap.mmap, order: str, at: int, end: int) 
             inside.append([at + size, 0])
             continue
         if kind == _INT32 and here[1] == 2 and len(inside) > 1 and size <= 4 * _MAX_DIMENSIONS:
-            count = (min(at + size, len(data)) - at) // 4
-            claimed += 8 * math.prod(max(0, each) for each in struct.unpack_from(f"{order}{count}i", data, at))
+            dimensions = read(at, size)
+            whole = dimensions[: len(dimensions) // 4 * 4]
+            claimed += 8 * math.prod(max(0, each) for (each,) in struct.iter_unpack(f"{order}i", whole))
         at += padded
     return claimed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,7 +13,7 @@ from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
 
-class FreeSensor(FarEnd):
+class FreeSensor(FarEnd, ABC):
     """One sensor. A subclass makes its packets.
 
     Args:
@@ -37,13 +38,13 @@ class FreeSensor(FarEnd):
         """Make the sensor of a simulated rig."""
         return cls(settings, Beam.of(device, settings, world), cls.first_serial + world.number(device, settings.topic))
 
+    @abstractmethod
     def packets(self, reading: NDArray[np.floating], numbers: NDArray[np.int64]) -> bytes:
         """Return the packets that are full after further samples; see Beam for the arguments, shape (n,), n ≥ 1."""
-        raise NotImplementedError
 
+    @abstractmethod
     def begin(self) -> None:
         """Count from 0, as after power-up."""
-        raise NotImplementedError
 
     def sample(self, motion: MotionInterval) -> bytes:
         """See FarEnd."""
