@@ -346,14 +346,15 @@ def test_the_locked_radius_is_that_of_two_seconds_before_the_release(run: Run) -
 
 def test_an_approach_that_is_not_over_is_extrapolated(rig: Rig) -> None:
     """The noise may leave a second rate open, in about half of the draws: rate and amounts are those of most draws."""
-    draws = [measure(made(math.radians(1.0), 0.3, seed=seed), rig) for seed in range(5)]
+    draws = [measure(made(math.radians(1.0), 0.3, seed=seed), rig) for seed in range(12)]
     for found in draws:
         assert found.state == "not settled"
         assert found.to_come.model != UNEXPLAINED
-        assert found.theta_rad[0].value == pytest.approx(THETA[0], abs=3 * found.theta_rad[0].std)
         assert found.theta_rad[1].value == pytest.approx(THETA[1], abs=STEP)
         assert found.to_come.shift[1] == pytest.approx(0.0, abs=STEP)
         assert 5 < found.to_come.windows <= 20
+    scores = [(found.theta_rad[0].value - THETA[0]) / found.theta_rad[0].std for found in draws]
+    assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 2.0  # the uncertainty is that of the errors
     at_end = [math.radians(1.0) * math.exp(0.3 * (END_S - found.to_s)) for found in draws]
     mean = (math.exp(0.3 * 6.0) - 1) / (0.3 * 6.0)
     assert np.median([found.to_come.rate_per_s for found in draws]) == pytest.approx(0.3, rel=0.25)
