@@ -35,7 +35,7 @@ test: setup lint
 	$(UV) run --no-sync pytest -n 2 --dist worksteal
 
 test-thorough: setup
-	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2 --dist worksteal
+	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2 --dist worksteal -o faulthandler_timeout=14400
 
 tutorials: setup
 	$(UV) run --no-sync python -m tests.tutorials.notebooks

@@ -12,6 +12,7 @@ from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
 from daq.items import RX
+from daq.transports.host_clock import HostClock
 from rig_configs import load_rig
 from tests.daq.hand_made_laser import HandMadeLaser
 
@@ -212,9 +213,14 @@ def test_output_names_without_the_commands_name_are_read(answer: str) -> None:
 
 
 class Talkative(queue.Queue[str]):
-    """Replies of a sensor that sends lines of text without end."""
+    """Replies of a sensor that sends a line of text each millisecond, without end."""
+
+    def __init__(self, clock: HostClock) -> None:
+        super().__init__()
+        self._clock = clock
 
     def get(self, block: bool = True, timeout: float | None = None) -> str:
+        self._clock.wait(1e-3)
         return "1. DIST1"
 
     def empty(self) -> bool:
@@ -224,7 +230,7 @@ class Talkative(queue.Queue[str]):
 def test_lines_without_end_after_a_repeated_command_are_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dialogue, "_MOST_LATE_S", 0.05)
     sensor = HandMadeLaser()
-    sensor.replies = Talkative()
+    sensor.replies = Talkative(sensor.clock)
     asked = dialogue._Dialogue("x", Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x"}), sensor)
     begun_s = sensor.clock.wall_s()
     asked.drop_answers(0.02)
