@@ -26,6 +26,8 @@ class Cable:
     Attributes:
         port: name of the port, which changes when the cable is plugged in again.
         sent: bytes from the host that have not reached the device.
+        collected: bytes of the device that the adapter has not passed to the host.
+        asked: whether the host has written since the adapter last passed bytes to it.
         overrun_bytes: number of bytes lost because the driver queue was full.
         link: link that the host has opened; None if there is no open link.
         on_write: called when the host has written.
@@ -36,6 +38,8 @@ class Cable:
         self._plugged, self._times = True, 0
         self.port: str = f"lockstep:{device}"
         self.sent: bytearray = bytearray()
+        self.collected: bytearray = bytearray()
+        self.asked: bool = False
         self.overrun_bytes: int = 0
         self.link: LockstepLink | None = None
         self.on_write: Callable[[], None] = lambda: None
@@ -49,12 +53,14 @@ class Cable:
         if not self._plugged or port != self.port:
             raise LinkLost(f"{port}: cannot be opened (no such port). Is the device plugged in?")
         self.sent.clear()
+        self.collected.clear()
         self.link = LockstepLink(self)
         return self.link
 
     def cut(self) -> None:
         """Unplug the cable. The next read or write of an open link raises LinkLost."""
         self._plugged = False
+        self.collected.clear()
         link, self.link = self.link, None
         if link is not None:
             link.lose()
@@ -76,10 +82,12 @@ class Cable:
         """Schedule an action of the host."""
         self._clock.after(seconds, do)
 
-    def arrive(self, data: bytes) -> None:
-        """Pass bytes of the device to the open link."""
-        if self.link is not None and data:
-            self.overrun_bytes += self.link.arrive(data)
+    def deliver(self) -> None:
+        """Pass the collected bytes to the open link."""
+        if self.link is not None and self.collected:
+            self.overrun_bytes += self.link.arrive(bytes(self.collected))
+            self.asked = False
+        self.collected.clear()
 
 
 class LockstepLink:
@@ -111,6 +119,7 @@ class LockstepLink:
         if self._lost or self._closed:
             raise LinkLost(f"{self.name}: lost while writing. Look at cable and power")
         self._cable.sent += data
+        self._cable.asked = True
         self._cable.on_write()
 
     def close(self) -> None:

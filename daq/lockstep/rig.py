@@ -73,9 +73,9 @@ class LockstepRig:
         self.edge: Edge = Edge(self._connect, self._places, self.disk)
         self.turn_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
-        self._exchange_is_due = False
+        self._answer_is_due = False
         for cable in self.cables.values():
-            cable.on_write = self._exchange_soon
+            cable.on_write = self._answer_soon
         self._step()
 
     def __enter__(self) -> LockstepRig:
@@ -99,25 +99,29 @@ class LockstepRig:
         return () if cable is None else (cable.port,)
 
     def _step(self) -> None:
-        self._exchange()
+        self._exchange(list(self.cables.values()))
         self.clock.after(self._pace.uniform(*self.turn_s), self._step, world=True)
 
-    def _exchange_soon(self) -> None:
+    def _answer_soon(self) -> None:
         """Schedule an exchange after a write of the host, so that answers do not wait for the next regular one."""
-        if not self._exchange_is_due:
-            self._exchange_is_due = True
-            self.clock.after(_LINE_DELAY_S, self._exchange, world=True)
+        if not self._answer_is_due:
+            self._answer_is_due = True
+            self.clock.after(_LINE_DELAY_S, self._answer, world=True)
 
-    def _exchange(self) -> None:
-        """Exchange the bytes of all cables with the simulated rig and advance its motion."""
-        self._exchange_is_due = False
+    def _answer(self) -> None:
+        """Exchange bytes; only adapters from which the host expects an answer pass theirs on, others collect more."""
+        self._answer_is_due = False
+        self._exchange([cable for cable in self.cables.values() if cable.asked])
+
+    def _exchange(self, delivering: Sequence[Cable]) -> None:
+        """Exchange bytes with the simulated rig and advance its motion; some adapters pass theirs to the host."""
         received = {name: bytes(cable.sent) for name, cable in self.cables.items() if cable.sent}
         for name in received:
             self.cables[name].sent.clear()
-        sent = self.far.step(self.clock.wall_s(), received)
-        for name, data in sent.items():
-            if data:
-                self.cables[name].arrive(data)
+        for name, data in self.far.step(self.clock.wall_s(), received).items():
+            self.cables[name].collected += data
+        for cable in delivering:
+            cable.deliver()
 
     def ask(self, do: str, **what: Any) -> dict[str, Any]:
         """Carry out a request of the control port (see `daq.virtual_rig.control`) and return the answer.
