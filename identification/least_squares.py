@@ -19,6 +19,8 @@ from identification.work import spend
 from rig_basics.arrays import Array
 
 _MIN_GAIN = 3e-3  # of χ²
+_MANY, _SMALL_GAIN = 10, 0.1  # steps, and the gain of χ² by all of them, after which no further one is worth its time
+_FIRST_DAMPING = 1e-4  # of Marquardt's scaling: the first step is nearly that of Gauss and Newton
 _MAX_BEND_RATIO = 0.375  # of a step: a larger correction is not second order (Transtrum and Sethna 2012)
 _MIN_PRIOR_STD = 1e-9  # far below the std with which a record determines an angle, a delay or a logarithm
 
@@ -35,7 +37,7 @@ class Minimum:
         residual: shape (n,), priors last.
         jacobian: shape (n, p).
         converged: whether the last step was below 1e-3 standard deviations in every direction of θ, or several
-            consecutive steps had no gain.
+            consecutive steps had no gain, or many had next to none and could not have one of a standard deviation.
         iterations: number of evaluations.
     """
 
@@ -57,10 +59,20 @@ class Minimum:
         return self.cost / len(self.residual)
 
 
-def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
-    """Minimise by Levenberg–Marquardt with Marquardt's scaling and a second-order correction of rejected steps.
+def minimise(
+    evaluate: Evaluate,
+    start: Array,
+    max_iterations: int = 40,
+    plateau: float | None = None,
+    reach: Array | None = None,
+) -> Minimum:
+    """Minimise by Levenberg–Marquardt with a second-order correction of rejected steps.
 
     A rejected trial yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
+
+    The damping λ holds each step near its start like a prior of the standard deviation reach / √λ. Marquardt's scaling
+    by the columns of the Jacobian holds strongly determined directions instead. It stops in a narrow valley whose
+    weak direction is curved, as that of an instant at which the force on a pendulum changes its sign.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
@@ -68,6 +80,8 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
         max_iterations: limit of the number of evaluations.
         plateau: mean square of the residuals. Above it, the iteration ends if three consecutive steps gain less than a
             tenth: residuals of that size are a misfit of the model that further steps do not remove.
+        reach: prior standard deviation of θ, whose rows the residual contains, shape (p,). Where it is inf, and for
+            all parameters if it is None, Marquardt's scaling applies.
     Raises:
         FitFailed: residual or Jacobian are not finite at the start.
     """
@@ -76,13 +90,15 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
     residual, jacobian = evaluate(theta)
     if not _finite(residual, jacobian):
         raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(theta, precision=4)}")
-    damping, converged, used, idle = 1e-4, False, 1, 0
+    damping, converged, used, idle = (_FIRST_DAMPING if reach is None else 1.0), False, 1, 0
     costs = [float(residual @ residual)]
+    steps: list[tuple[float, float]] = []  # χ² before each step, and its foreseen gain
     while used < max_iterations and not converged:
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
         scaled = jacobian / scale
         normal, gradient = scaled.T @ scaled, scaled.T @ residual
-        damped = cast(Array, normal + damping * np.eye(len(theta)))
+        metric = np.ones(len(theta)) if reach is None else _metric(reach * scale)
+        damped = cast(Array, normal + damping * np.diag(metric))
         step = -cast(Array, np.linalg.solve(damped, gradient))
         # the step's length is in standard deviations, which grow with residuals above the noise
         unit = max(1.0, costs[-1] / len(residual))
@@ -101,6 +117,13 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
         idle = idle + 1 if gained < _MIN_GAIN * unit else 0
         converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
         converged |= idle >= 4  # the data do not determine the direction of the steps
+        steps.append((costs[-1], foreseen))
+        many = steps[-_MANY:]
+        converged |= (
+            len(many) == _MANY
+            and many[0][0] - costs[-1] < _SMALL_GAIN * unit
+            and max(gain for _, gain in many) < unit  # as where an unknown acts by its square only
+        )
         if better:
             theta, (residual, jacobian) = theta + step / scale, trial
             damping = max(damping / 10, 1e-10)
@@ -112,6 +135,11 @@ def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau
             if damping > 1e10:
                 break
     return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
+
+
+def _metric(reach: Array) -> Array:
+    """Return the weight of each squared step in the damping, for `reach` in standard deviations of the residuals."""
+    return np.where(np.isfinite(reach), reach, _FIRST_DAMPING**-0.5) ** -2.0
 
 
 def _counted(evaluate: Evaluate) -> Evaluate:

@@ -199,7 +199,7 @@ class TransientProblem:
             iterations: largest number of iterations.
             plateau: χ² per reading above which the iteration ends at steps of little gain, because the model is wrong.
         """
-        return minimise(self._evaluation(end_s), start, iterations, plateau)
+        return minimise(self._evaluation(end_s), start, iterations, plateau, self.prior_std)
 
     def opened(self, theta: np.ndarray, end_s: float) -> Minimum | None:
         """Return the minimum near that of a fit with fewer unknowns; None if no minimum is found.

@@ -26,3 +26,17 @@ def test_an_iteration_follows_a_curved_valley() -> None:
     found = minimise(valley, np.array([-1.2, 1.0]), 80)
     assert found.converged
     assert found.theta == pytest.approx(1.0, abs=1e-3)
+
+
+def test_an_unknown_that_acts_by_its_square_is_found() -> None:
+    """The column of the Jacobian is small near 0: Marquardt's scaling lets it jump, and holds what is determined."""
+
+    def folded(theta: Array) -> tuple[Array, Array]:  # a = t² and b = t are measured well; all have priors
+        t, a, b = theta
+        rows = np.array([[-2e4 * t, 1e4, 0.0], [-1e4, 0.0, 1e4], *np.eye(3)])
+        return np.array([1e4 * (a - t**2), 1e4 * (b - t), t - 1.0, a - 0.3, b + 0.5]), rows
+
+    found = minimise(folded, np.array([0.0, 0.3, 0.5]), 40, reach=np.ones(3))
+    (t,) = [root.real for root in np.roots([4.0, 0.0, 2.8, -1.0]) if abs(root.imag) < 1e-9]  # of χ²' along a = t²
+    assert found.converged
+    assert found.theta == pytest.approx([t, t**2, t], abs=1e-3)
