@@ -1,7 +1,7 @@
 """Source files that compiled functions are made of: the modules that define them, and all project modules these import.
 
 A compiled function contains the code of the functions that it calls and the values, at the time of compilation, of the
-names that it reads: `from daq.channels import SUSPECT_BEFORE` freezes a number of another file. A module that holds no
+names that it reads: `from dynamics.equations.kernels import FA` freezes a number of another file. A module without a
 compiled function belongs to the set if a module of the set imports it at its top level. An import inside a function
 freezes nothing.
 

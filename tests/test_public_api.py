@@ -56,6 +56,19 @@ def test_importing_the_packages_loads_no_large_library_and_writes_no_file(tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_recording_loads_no_compiler() -> None:
+    """What is compiled at the first byte of a device delays it, from a cold cache by seconds."""
+    program = (
+        "import sys, daq.acquisition.session\n"
+        "from daq.drivers.registry import driver\n"
+        "from rig_configs.drivers import installed\n"
+        "for name in installed(): driver(name).load()\n"
+        "print(*sorted({'numba', 'scipy', 'matplotlib'} & set(sys.modules)))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert loaded.stdout.split() == []
+
+
 def test_a_name_that_is_not_listed_is_refused() -> None:
     with pytest.raises(AttributeError):
         importlib.import_module("identification").no_such_name  # noqa: B018

@@ -112,10 +112,6 @@ def _unknown_code(code: int) -> str:
     return ""
 
 
-def _nothing() -> None:
-    pass
-
-
 @dataclass(frozen=True, kw_only=True)
 class Driver:
     """One kind of device. Functions take the settings of a device, its table in the rig file, as their first argument.
@@ -147,7 +143,6 @@ class Driver:
         code_meaning: returns the meaning of a code in the channel's field `code`, which some sensors send in place of
             a value, for example without a target: a short clause; empty if it is unknown.
         rest_s: longest pause of the reader between two reads, s; short if samples get the host's time.
-        compile: compiles loops before the first byte arrives.
         by_radio: whether the samples come by radio, where a small share of them is lost on a healthy rig.
         claims: keys of CLAIMS.
         measured: keys of the identity whose values are measured: they differ each time the same device is opened.
@@ -184,7 +179,6 @@ class Driver:
     played: Callable[[Any, Mapping[str, Any]], PlayedDevice] = _bytes_of_log
     code_meaning: Callable[[int], str] = _unknown_code
     rest_s: float = 0.01
-    compile: Callable[[], None] = _nothing
     by_radio: bool = False
     claims: frozenset[str] = frozenset()
     measured: frozenset[str] = frozenset()
@@ -216,4 +210,3 @@ class Driver:
         for part in vars(self).values():
             if isinstance(part, Part) and part not in simulated:
                 part.load()
-        self.compile()

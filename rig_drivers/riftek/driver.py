@@ -8,18 +8,6 @@ from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import displacement_channels, displacement_clocks
 from rig_drivers.riftek.settings import RiftekLaser
 
-
-def _compile() -> None:
-    import numpy as np
-
-    from daq.drivers.spikes import compile_watch
-    from rig_drivers.riftek import wire
-    from rig_drivers.riftek.decoder import ResultDecoder
-
-    compile_watch()
-    ResultDecoder().feed(wire.results(np.zeros(8, np.int64), np.arange(8)))
-
-
 _part = parts_of("rig_drivers.riftek")
 DRIVER = Driver(
     name="riftek",
@@ -37,7 +25,6 @@ DRIVER = Driver(
     pipeline=_part("stream:RiftekPipeline"),
     far_end=_part("far_end:SimulatedRiftek.of"),
     played=_part("played:PlayedRiftek"),
-    compile=_compile,
     open=_part("dialogue:configure"),
     stop=_part("dialogue:stop"),
     identity_request=_part("identity:identity_turns"),

@@ -49,7 +49,6 @@ DRIVER = Driver(
     played=_part("played:PlayedLaser"),
     checks=_checks,
     code_meaning=_code_meaning,
-    compile=parts_of("daq.drivers")("spikes:compile_watch"),
     open=_part("dialogue:configure"),
     stop=_stop,
     identity_request=_part("identity:identity_turns"),
