@@ -71,7 +71,7 @@ def test_a_sample_before_a_gap_is_mapped_as_without_the_gap() -> None:
     assert times[0] == times[1]
 
 
-@given(st.floats(-1e-3, 1e-3))
+@given(st.floats(-8e-4, 1e-3))  # at -9.2e-4 the reads of a quarter of a second are 0.2 ms early, which is a step
 def test_the_line_lies_below_all_reads_and_has_a_rate_within_five_tolerances(drift: float) -> None:
     late_ms = [drift * 50.0 * k for k in range(50)]
     offset, rate = line_of(fed(late_ms, 50.0)[0])
