@@ -120,7 +120,8 @@ def minimise(
         steps.append((costs[-1], foreseen))
         many = steps[-_MANY:]
         converged |= (
-            len(many) == _MANY
+            reach is not None
+            and len(many) == _MANY
             and many[0][0] - costs[-1] < _SMALL_GAIN * unit
             and max(gain for _, gain in many) < unit  # as where an unknown acts by its square only
         )

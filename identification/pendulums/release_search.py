@@ -183,7 +183,7 @@ class Search:
             self.effort.left -= minimum.iterations * (end - begin)
             level = min(now.chi2_per_dof(minimum, end), now.misfit(minimum, end))
             if last and not minimum.converged and level < GOOD:
-                minimum = now.solve(minimum.theta, end, _MORE)
+                minimum = now.solve(minimum.theta, end, _MORE, in_valley=True)
                 level = now.misfit(minimum, end)
             if doubtful is None and level > GOOD:
                 doubtful = minimum, end

@@ -190,7 +190,14 @@ class TransientProblem:
         first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
         return first, second
 
-    def solve(self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None) -> Minimum:
+    def solve(
+        self,
+        start: np.ndarray,
+        end_s: float,
+        iterations: int = 25,
+        plateau: float | None = None,
+        in_valley: bool = False,
+    ) -> Minimum:
         """Minimise the residuals of the data up to `end_s`.
 
         Args:
@@ -198,8 +205,9 @@ class TransientProblem:
             end_s: last instant of the data, s.
             iterations: largest number of iterations.
             plateau: χ² per reading above which the iteration ends at steps of little gain, because the model is wrong.
+            in_valley: whether to damp the steps in units of the prior, for a start in a narrow valley (see `minimise`).
         """
-        return minimise(self._evaluation(end_s), start, iterations, plateau, self.prior_std)
+        return minimise(self._evaluation(end_s), start, iterations, plateau, self.prior_std if in_valley else None)
 
     def opened(self, theta: np.ndarray, end_s: float) -> Minimum | None:
         """Return the minimum near that of a fit with fewer unknowns; None if no minimum is found.
