@@ -26,10 +26,10 @@ _LOCKED_S = 2.0  # interval before the release
 _STOOD_S = 2.5  # without a mark before a release: the rotor is below 24 rpm; a radio may lose single marks
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _MIN_AFTER_RELEASE_S = 9.0  # settling needs nine windows of at least one second
-# The bound on the remaining approach is noisy, and a test ends when the bound is low. A bound that was low enough a
-# moment ago still holds, unless it is now above _SLACK tolerances: then the motion has changed.
+# The bound on the remaining approach is noisy, and a test ends when the bound is low. A bound of a moment ago holds for
+# all that follows, unless the means have moved by more than it allows: then something else has moved them.
 _RECENT_S = (0.5, 1.0, 1.5, 2.0, 2.5)
-_SLACK = 3.0
+_LIMITS = SettlingLimits(average_s=AVERAGE_S)
 _MIN_SPEED_TOLERANCE = 5e-4  # relative to the plateau's speed; a larger deviation belongs to the stop
 
 
@@ -263,7 +263,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
 
-    def judged(at: float = end, slack: float = 1.0) -> Settling:
+    def judged(at: float) -> Settling:
         marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
         signals = RotorSignals(
             run.angle_time_s[angles],
@@ -275,17 +275,14 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
             run.y_time_s[y],
             run.y_m[y],
         )
-        limits = SettlingLimits(average_s=AVERAGE_S, slack=slack)
         since = None if free else release
-        return settled(signals, limits, release_time_s=since, angle_step_rad=run.angle_step_rad)
+        return settled(signals, _LIMITS, release_time_s=since, angle_step_rad=run.angle_step_rad)
 
-    def was_settled() -> bool:
-        return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _RECENT_S)
-
-    found = judged()
+    found = judged(end)
     if found.span_s == 0.0:
         raise NotEnoughData(found.why)
-    if not found.settled and was_settled():
+    rests = found.approaching and found.drift_rad <= _LIMITS.angle_tolerance_rad
+    if rests and any(judged(end - since).settled for since in _RECENT_S):
         found = replace(found, settled=True, why=f"steady a moment ago; {found.why}", more_s=0.0)
     return found
 

@@ -100,15 +100,12 @@ class SettlingLimits:
         linger_s: time after release before which a pendulum pair that still has its gap at release is not accepted as
             settled, s: it leaves an unstable balance exponentially, too slowly at first to be detected.
         average_s: period before the last mark for `mean_off_rad` and `mean_off_m`, s.
-        slack: number of tolerances that the remaining change may have; the width of a mean depends on the tolerances
-            themselves.
     """
 
     angle_tolerance_rad: float = math.radians(0.1)
     amplitude_tolerance_m: float = 3e-6
     linger_s: float = 30.0
     average_s: float = 2.0
-    slack: float = 1.0
 
 
 _USUAL_LIMITS = SettlingLimits()
@@ -152,11 +149,11 @@ def settled(
         "pendulum angles",
         angles,
         (limits.angle_tolerance_rad, _MIN_WIDTH_ANGLE),
-        limits.slack * limits.angle_tolerance_rad,
+        limits.angle_tolerance_rad,
         limits.average_s,
         (180 / math.pi, "°"),
     )
-    whirling = _judged_amplitudes(orbit, limits.amplitude_tolerance_m, limits.slack, limits.average_s)
+    whirling = _judged_amplitudes(orbit, limits.amplitude_tolerance_m, limits.average_s)
     slip = _slipping(angles.means[-MIN_WINDOWS:])
     held = release_time_s is not None and _still_as_released(
         time_s, angle_rad, angles.means[-1], edges[-1], release_time_s, limits.linger_s
@@ -181,7 +178,7 @@ def locked_settled(signals: RotorSignals) -> Settling:
     orbit = signals.amplitude_means(edges, MIN_WINDOWS)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _judged_amplitudes(orbit, _LOCKED_TOLERANCE_M, 1.0, WINDOW_S)
+    whirling = _judged_amplitudes(orbit, _LOCKED_TOLERANCE_M, WINDOW_S)
     return _decision(orbit, None, whirling, [_speed_change(*marks, edges[-MIN_WINDOWS - 1 :])])
 
 
@@ -240,14 +237,14 @@ def _judged(
     return _Judged(drift, worst, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else ""))
 
 
-def _judged_amplitudes(orbit: WindowMeans, tolerance_m: float, slack: float, average_s: float) -> _Judged:
+def _judged_amplitudes(orbit: WindowMeans, tolerance_m: float, average_s: float) -> _Judged:
     """Judge the amplitudes. Coloured noise raises their limit to the width of a mean.
 
     A change that wandering lasers cannot resolve is detected by the pendulum angles, which the orbit follows.
     """
     visible = max(tolerance_m, float(orbit.width.max())) if orbit.coloured else tolerance_m
     least = (tolerance_m, _MIN_WIDTH_AMPLITUDE)
-    return _judged("amplitudes", orbit, least, slack * visible, average_s, (1e6, " µm"))
+    return _judged("amplitudes", orbit, least, visible, average_s, (1e6, " µm"))
 
 
 def _decision(
