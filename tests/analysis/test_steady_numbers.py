@@ -428,7 +428,7 @@ def long_run() -> Run:
 
 
 def test_a_bound_of_a_moment_ago_holds_while_the_means_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a second to two and a half before, however large the newest bound is: the angles tell whether it holds."""
+    """Half a second to two and a half before, with any newest bound: the angles show whether it holds."""
     for ago, drift_deg, approaching, expected in (
         (0.5, 0.0, True, True),
         (1.5, 0.0, True, True),

@@ -58,7 +58,7 @@ class Device:
     Args:
         channel: channel of python-can's virtual bus.
         number: node number.
-        objects: its objects, beside device type, errors and heartbeats.
+        objects: its objects without device type, errors and heartbeats.
         device_type: its object 1000h.
     """
 
