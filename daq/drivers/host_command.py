@@ -16,7 +16,7 @@ from typing import ClassVar, Protocol
 from typing_extensions import override
 
 from daq.drivers.contract import RotorGuard, SpeedControl, TimeOut
-from daq.drivers.run_down import REPEAT_S, wait_for_rest
+from daq.drivers.ramp import REPEAT_S, wait_for_rest
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock, Repeated
 

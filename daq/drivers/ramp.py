@@ -1,10 +1,16 @@
-"""Ramps of a speed source: the rate that a device can have, and the host's ramp for a controller without one. Pure."""
+"""Ramps of a speed source: the rate that a device can have, and the host's ramp for a controller without one. Pure.
+
+Wait until a rotor that was commanded to stop stands, as long as its speed decreases.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-from daq.errors import DeviceError
+from daq.drivers.contract import RotorGuard
+from daq.errors import DeviceError, LinkLost
+from daq.transports.host_clock import HostClock
 
 _MAX_DEVIATION = 0.05  # relative deviation of a device's ramp from the requested one
 
@@ -55,3 +61,57 @@ class SetpointRamp:
             rpm = math.copysign(self._min_rpm, self.target_rpm) if abs(self.target_rpm) >= self._min_rpm else 0.0
         self.rpm = rpm
         return rpm
+
+
+REPEAT_S = 0.25
+"""Time between two commands to stop or to release a rotor, of which one may be lost, s."""
+_MAX_RUN_DOWN_S = 60.0  # s that a rotor without torque may need to stop
+_MAX_CONSTANT_S = 5.0  # s without decrease of the speed after which the wait ends
+_MAX_SEND_FAILURES = 3  # commands that may fail to be sent before the wait ends
+_RETRY_S = 0.05  # s from a command that failed to be sent to the next one
+_NOTIFY_EVERY_S = 2.0  # s between two texts about the wait
+
+
+def wait_for_rest(
+    clock: HostClock, rotor: RotorGuard, order: Callable[[], None], notify: Callable[[str], None]
+) -> bool:
+    """Command a stop, and repeat it until the rotor stands.
+
+    Args:
+        clock: clock for the waits.
+        rotor: source of whether the rotor stands, and of its speed.
+        order: sends the stop command; it is sent once even if the rotor stands, because it may have a target speed.
+        notify: called with a text about what is being waited for.
+
+    Returns:
+        Whether the rotor stands. False if its speed does not decrease, the run-down takes too long, or its speed is
+        unknown.
+
+    Raises:
+        LinkLost: commands cannot be sent any more.
+    """
+    begun = slower = notified = next_order = clock.wall_s()
+    least, failures = math.inf, 0
+    while True:
+        now = clock.wall_s()
+        if now >= next_order:
+            next_order = now + REPEAT_S
+            try:
+                order()
+            except LinkLost:  # one frame was not accepted, or the line is lost
+                failures += 1
+                if failures > _MAX_SEND_FAILURES:
+                    raise
+                next_order = now + _RETRY_S
+        rest, speed = rotor.at_rest(), rotor.speed_rpm()
+        if rest:
+            return True
+        if not speed > least - 1.0:  # also if no device reports the speed (NaN): then index marks alone decide
+            slower, least = now, speed
+        too_long = now - begun > _MAX_RUN_DOWN_S or now - slower > _MAX_CONSTANT_S
+        if too_long or (rest is None and now - begun > _MAX_CONSTANT_S):
+            return False
+        if now - notified > _NOTIFY_EVERY_S:
+            notify("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
+            notified = now
+        clock.wait(0.01)

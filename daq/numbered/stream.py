@@ -23,8 +23,7 @@ from typing import Any, Generic, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.numbered.due_line import RATE_ERROR, DueLine
-from daq.numbered.lateness import Lateness, came_at_once, first_late, settled_lateness
+from daq.numbered.due_line import RATE_ERROR, DueLine, Lateness, came_at_once, first_late, settled_lateness
 from daq.numbered.look_ahead import LookAhead, Run
 from daq.numbered.messages import Count, Message, R, Stretch
 

@@ -44,11 +44,11 @@ DRIVER = Driver(
     occasional=_marks,
     pipeline=_part("stream:EncoderPipeline"),
     poller=_poller,
-    words=_part("status_checks:emergency_words"),
-    checks=_part("status_checks:encoder_checks"),
+    words=_part("stream:emergency_words"),
+    checks=_part("stream:encoder_checks"),
     far_end=_part("far_end:SimulatedEncoders.of"),
-    played=_part("played:PlayedEncoders"),
+    played=_part("far_end:PlayedEncoders"),
     open=_part("dialogue:open_encoders"),
     stop=close_bus,  # without the host's SYNC the encoders sample no more
-    identity_request=_part("identity:identity_turns"),
+    identity_request=_part("dialogue:identity_turns"),
 )

@@ -1,6 +1,10 @@
 """Simulated CANopen encoders behind an slcan adapter: objects, network commands, SYNC, own timers, heartbeats.
 
 The positions are formed from the profile's objects (6000h … 6004h), not by the pipeline's code.
+
+Stand-in for CANopen encoders of a log while the log is played.
+
+The objects of an encoder at the far end: of the simulated one, and of the stand-in for one of a log.
 """
 
 from __future__ import annotations
@@ -12,16 +16,62 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from daq.drivers.can_lines import Adapter
+from daq.drivers.can_lines import Adapter, PlayedOnBus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.changes import PDO_OFF
 from daq.drivers.canopen.node import NMT_STOP, RESETS, Node, Objects
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.errors import LogError
 from daq.transports.can_frames import CanFrame, encode
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.texts import number_of
-from rig_drivers.cia406.node_objects import TURNS, encoder_objects
-from rig_drivers.cia406.settings import Encoder, EncoderBus
+from rig_drivers.cia406 import wire
+from rig_drivers.cia406.settings import FAULT_KEYS, Encoder, EncoderBus
+
+TURNS = 4096
+"""Number of distinguishable revolutions of the simulated encoders."""
+
+
+def encoder_objects(node: int, serial: int, per_turn: int, positions: int, parameters: int) -> Objects:
+    """Return the objects of a multi-turn encoder as delivered: reports by its own timer, which is off, and at SYNC.
+
+    Args:
+        node: node number.
+        serial: serial number.
+        per_turn, positions: its scaling, counts per revolution and in all.
+        parameters: its operating parameters (6000h).
+    """
+    kind = 0x0002_0196 if positions > per_turn else 0x0001_0196
+    objects: Objects = {
+        (cia301.DEVICE_TYPE, 0): (kind, "<I"),
+        (cia301.ERROR_REGISTER, 0): (0, "<B"),
+        (cia301.PREDEFINED_ERROR_FIELD, 0): (0, "<B"),
+        (cia301.PREDEFINED_ERROR_FIELD, 1): (0, "<I"),
+        (cia301.SYNC_IDENTIFIER, 0): (cia301.COB_SYNC, "<I"),
+        (cia301.PRODUCER_HEARTBEAT, 0): (0, "<H"),
+        (cia301.IDENTITY, 1): (0x0000_0D0C, "<I"),
+        (cia301.IDENTITY, 2): (0x0000_3643, "<I"),
+        (cia301.IDENTITY, 3): (0x0001_0002, "<I"),
+        (cia301.IDENTITY, 4): (serial, "<I"),
+        (0x6000, 0): (parameters, "<H"),
+        (0x6001, 0): (per_turn, "<I"),
+        (0x6002, 0): (positions, "<I"),
+        (0x6003, 0): (0, "<I"),
+        (0x6200, 0): (0, "<H"),
+        (0x6501, 0): (per_turn, "<I"),
+        (0x6502, 0): (max(1, positions // per_turn), "<H"),
+        (0x6503, 0): (0, "<H"),
+        (0x6505, 0): (0, "<H"),
+    }
+    for number, kind in ((0, 254), (1, 1)):
+        objects[cia301.TPDO1 + number, 1] = (cia301.cob_tpdo(number + 1, node), "<I")
+        objects[cia301.TPDO1 + number, 2] = (kind, "<B")
+        objects[cia301.TPDO1 + number, 3] = (0, "<H")
+        objects[cia301.TPDO1 + number, 5] = (0, "<H")
+        objects[cia301.TPDO1_MAPPING + number, 0] = (1, "<B")
+        objects[cia301.TPDO1_MAPPING + number, 1] = (0x6004_0020, "<I")
+    return objects
+
 
 _LATEST_REPORTS_S = 0.05  # longest pause of the simulation after which reports are sent afterwards, s
 _COLUMNS = {"a": (2, 6), "b": (3, 7), "shaft": (8, 9)}  # of the motion: angle and its rate
@@ -301,3 +351,75 @@ class SimulatedEncoders(FarEnd):
         if on:
             for encoder in self.encoders:
                 encoder.start()
+
+
+_OTHER_OBJECT = 0x2000_0000  # entry of a PDO's mapping for a manufacturer-specific object, without its bits
+
+
+class PlayedEncoders(PlayedOnBus):
+    """Encoders that answer the opening and follow network commands; their positions come at the times of the log.
+
+    The recorded SYNCs are played until a host sends its own ones. A position then counts as sampled at the newest SYNC
+    of that host, up to one period away from its own time.
+
+    Args:
+        settings: table of the encoders in the rig file.
+        identity: identity of the encoders from their opening.
+
+    Raises:
+        LogError: the identity is impossible.
+    """
+
+    expects = "the network's start"
+
+    def __init__(self, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
+        super().__init__({cia301.COB_SYNC})
+        self._nodes = [_node(encoder, settings, identity) for encoder in settings.encoders]
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return super().sending and all(node.operational for node in self._nodes)
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        super().begin()
+        for node in self._nodes:
+            node.state = cia301.Heartbeat.OPERATIONAL
+
+    def is_command(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus. SYNC does not count."""
+        return not self.is_host(frame)
+
+    def is_host(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus."""
+        return frame.arbitration_id == cia301.COB_SYNC
+
+    def answers(self, frame: CanFrame) -> list[CanFrame]:
+        """See PlayedOnBus."""
+        return [answer for node in self._nodes for answer in node.answers(frame)]
+
+
+def _node(encoder: Encoder, settings: EncoderBus, identity: Mapping[str, Any]) -> Node:
+    """Return an encoder of the log."""
+    per_turn = settings.counts_per_revolution
+    name = encoder.name
+    defaults = {"serial": encoder.serial, "positions": per_turn, "counter_clockwise": 0, "maker": 0, "product": 0}
+    defaults |= dict.fromkeys((*FAULT_KEYS, "offset"), 0)
+    known = {key: identity.get(f"{name}_{key}", value) for key, value in defaults.items()}
+    if not all(type(value) is int and 0 <= value < 2**32 for value in known.values()):
+        raise LogError(f"identity of encoder {name}: expected numbers of 32 bits, got {known!r:.200}")
+    parameters = 0x4 | (known["counter_clockwise"] & 1)
+    objects = encoder_objects(encoder.node, known["serial"], per_turn, known["positions"], parameters)
+    objects[cia301.IDENTITY, 1], objects[cia301.IDENTITY, 2] = (known["maker"], "<I"), (known["product"], "<I")
+    register, code, alarms, warnings = (known[key] for key in FAULT_KEYS)
+    objects[cia301.ERROR_REGISTER, 0] = (register & 0xFF, "<B")
+    objects[cia301.PREDEFINED_ERROR_FIELD, 1] = (code, "<I")
+    objects[wire.ALARMS, 0], objects[wire.WARNINGS, 0] = (alarms & 0xFFFF, "<H"), (warnings & 0xFFFF, "<H")
+    node = Node(encoder.node, objects)
+    if offset := known["offset"]:  # its reports in the log contain something else before the position
+        objects[cia301.TPDO1_MAPPING, 0] = (2, "<B")
+        objects[cia301.TPDO1_MAPPING, 1] = (_OTHER_OBJECT | 8 * offset & 0xFF, "<I")
+        objects[cia301.TPDO1_MAPPING, 2] = (wire.POSITION_MAPPED, "<I")
+        node.sdo.fixed.add((cia301.TPDO1_MAPPING, 0))
+    return node

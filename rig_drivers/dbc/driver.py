@@ -11,7 +11,7 @@ from daq.drivers.can_lines import close_bus
 from daq.drivers.contract import SampleClock, Talk
 from daq.drivers.driver import Driver, parts_of
 from daq.drivers.plain import TICK_NS
-from daq.drivers.stream_stop import stop_stream
+from daq.drivers.questions import stop_stream
 from daq.transports.can_frames import CLOSE_BUS, open_bus
 from rig_drivers.dbc.example import SETTINGS
 from rig_drivers.dbc.settings import CanSensors, quantity_channel

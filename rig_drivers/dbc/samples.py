@@ -1,4 +1,9 @@
-"""Displacements in the frames of one message, with the times of their sensor."""
+"""Displacements in the frames of one message, with the times of their sensor.
+
+Watch of a message that has stopped while the bus carries others.
+
+Further signals of one message: recorded with the host's times.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +21,48 @@ from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
 from rig_basics.texts import number_of
 from rig_drivers.dbc.layouts import MessageLayout, SignalLayout
-from rig_drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
-from rig_drivers.dbc.silence import SilenceWatch
+from rig_drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal, quantity_channel
+
+
+class SilenceWatch:
+    """Reports once that a message has not been received for too long, and that it is received again.
+
+    Args:
+        name: name of the message, for the text.
+        timeout_s: longest time between two messages, s; 0: any.
+        kind: kind of the event.
+    """
+
+    def __init__(self, device: str, name: str, timeout_s: float, kind: str = "fault") -> None:
+        self._device, self._name, self._timeout_ns, self._kind = device, name, round(timeout_s * 1e9), kind
+        self._heard_ns: int | None = None
+        self._silent = self._waited = False
+
+    def heard(self, host_ns: int) -> list[DeviceEvent]:
+        """Take the time of a message; return the event about a silence that no read has reported."""
+        found = self.tick(host_ns)
+        self._heard_ns, self._silent, self._waited = host_ns, False, False
+        return found
+
+    def bus_back(self, host_ns: int, since_ns: int) -> None:
+        """Wait once more for the message after a time in which the bus carried no frame at all.
+
+        Args:
+            host_ns, since_ns: times of the newest frame of the bus and of the one before it.
+        """
+        if host_ns - since_ns > self._timeout_ns and not self._waited:
+            self._heard_ns, self._waited = host_ns, True
+
+    def tick(self, host_ns: int) -> list[DeviceEvent]:
+        """Return the event if the silence has become too long."""
+        self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
+        if self._silent or not self._timeout_ns or host_ns - self._heard_ns <= self._timeout_ns:
+            return []
+        self._silent = True
+        seconds = (host_ns - self._heard_ns) * 1e-9
+        text = f"no frame of {self._name} for {seconds:.2f} s: look at the sensor, the bus and its bit rate"
+        return [DeviceEvent(self._kind, self._device, text, {"silence_s": seconds})]
+
 
 _TICK_NS = round(DEVICE_TICK_S * 1e9)
 _MOST_BITS = 62
@@ -237,3 +282,38 @@ class _Laser:
         displacement = np.where(reading, from_middle, np.nan) / self._lever
         code = (raw & 0xFFFFFFFF).astype(np.uint32)
         return {"displacement_m": displacement, "code": code}, int(np.count_nonzero(~reading))
+
+
+class QuantityStream:
+    """Decoder of a quantity's frames. A signal that is not in a frame, or has no reading, is NaN.
+
+    Attributes:
+        message: its message.
+        watch: watch of its silence.
+    """
+
+    def __init__(self, device: str, settings: CanSensors, name: str) -> None:
+        table = settings.quantities[name]
+        self.message: MessageLayout = settings.message(table.message)
+        self._channel, self._number = quantity_channel(name, table), 0
+        self._signals = {field: self.message.signals[signal] for field, signal in table.fields.items()}
+        self._invalid = {field: settings.invalid_raw(table.invalid, signal) for field, signal in self._signals.items()}
+        self.watch: SilenceWatch = SilenceWatch(device, f"{self.message.name} (can/{name})", table.timeout_s)
+
+    def feed(self, data: NDArray[np.uint8], host_ns: int) -> list[Batch | DeviceEvent]:
+        """Decode frames of the message, shape (n, 8)."""
+        columns: dict[str, NDArray[np.float64]] = {}
+        seen = np.zeros(len(data), np.bool_)
+        for field, signal in self._signals.items():
+            there = signal.present(data)
+            seen |= there
+            there &= ~np.isin(signal.raw(data), self._invalid[field])
+            columns[field] = np.where(there, signal.values(data), np.nan)
+        count = int(np.count_nonzero(seen))
+        if not count:
+            return []
+        sequence = (np.arange(self._number, self._number + count) % 2**32).astype(np.uint32)
+        self._number += count
+        rows = {field: values[seen] for field, values in columns.items()}
+        batch = Batch(self._channel, np.full(count, host_ns, np.int64), sequence, rows)
+        return [*self.watch.heard(host_ns), batch]

@@ -19,8 +19,7 @@ from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import EXTENDED
 from rig_basics.texts import number_of
 from rig_drivers.dbc.layouts import MessageLayout
-from rig_drivers.dbc.quantities import QuantityStream
-from rig_drivers.dbc.samples import LaserStream
+from rig_drivers.dbc.samples import LaserStream, QuantityStream
 from rig_drivers.dbc.settings import CanSensors
 
 Items = list[Batch | DeviceEvent]

@@ -9,6 +9,8 @@
 - inputs: single-ended 41000 + n = 199, range 40000 + 2n
 - stream: scan rate 4002 (the rate kept is read back), inputs 4004, settling 4008 = 0, resolution 4010 = 0, buffer
   4012 = 32768 bytes, target 4016 = 16, 4018 = 0, endless 4020 = 0, scan list 4100 + 2i, start 4990 = 1
+
+Identification of a LabJack on the network by the search request of its maker. It only reads registers.
 """
 
 from __future__ import annotations
@@ -16,17 +18,18 @@ from __future__ import annotations
 import logging
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.identification import Announcement, FoundDevice, NetworkDevice
 from daq.drivers.questions import TRIES, ask
 from daq.errors import DeviceError
+from daq.transports.port_names import network_port
 from rig_basics.ignoring import ignoring
 from rig_drivers.labjack import wire
-from rig_drivers.labjack.identity import IDENTITY_READS, MODELS, parse_identity
+from rig_drivers.labjack.scans import CONSTANTS_BYTES, T4_INPUTS, T4_MISSING_LINES, VoltScale, nominal, read_constants
 from rig_drivers.labjack.settings import LabJack
-from rig_drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, T4_MISSING_LINES, VoltScale, nominal, read_constants
 from rig_drivers.labjack.wire import Register
 
 _log = logging.getLogger(__name__)
@@ -246,3 +249,42 @@ def stop_device(settings: LabJack, talk: Talk) -> None:
         DeviceError: the device does not answer, or refuses.
     """
     end_stream(Commands(talk, "LabJack"))
+
+
+MODELS: Mapping[float, str] = {4.0: "T4", 7.0: "T7"}
+"""Value of the register PRODUCT to model."""
+IDENTITY_READS = tuple(wire.read(register, 2) for register in (Register.PRODUCT, Register.FIRMWARE, Register.SERIAL))
+_IDENTITY = struct.Struct(">ffI")
+_SEARCH_PORT = 52_362
+"""UDP port on which the devices answer requests. Source: the maker's data sheet of the T series, Ethernet."""
+_COMMAND_PORT = 502
+_SEARCH_NUMBER = 0x5052
+"""Transaction number of the search: an answer has it too."""
+
+
+def parse_identity(registers: bytes) -> tuple[float, float, int] | None:
+    """Return product, firmware and serial number from the answer to IDENTITY_READS; None if it is not one."""
+    return _IDENTITY.unpack(registers) if len(registers) == _IDENTITY.size else None
+
+
+def found(data: bytes, sender: str) -> NetworkDevice | None:
+    """Parse a datagram that answers the search.
+
+    Args:
+        data: the datagram.
+        sender: address from which it came.
+    """
+    messages = wire.MessageDecoder().feed(data).messages
+    if len(messages) != 1 or (messages[0].number, messages[0].function) != (_SEARCH_NUMBER, wire.FEEDBACK):
+        return None
+    values = parse_identity(messages[0].body)
+    if values is None or values[0] not in MODELS:
+        return None
+    product, firmware, serial = values
+    identity = {"model": MODELS[product], "firmware": round(firmware, 4), "serial": serial}
+    return NetworkDevice(network_port(sender, _COMMAND_PORT), FoundDevice({"serial": serial}, identity))
+
+
+def announcement() -> Announcement:
+    """Return how a device answers the search request of its maker."""
+    return Announcement(0, found, wire.request(_SEARCH_NUMBER, IDENTITY_READS), _SEARCH_PORT)

@@ -62,8 +62,8 @@ DRIVER = Driver(
     poller=_part("poller:StreamReads"),
     checks=_checks,
     far_end=_part("far_end:SimulatedLabJack.of"),
-    played=_part("played:PlayedLabJack"),
+    played=_part("far_end:PlayedLabJack"),
     open=_part("dialogue:open_device"),
     stop=_part("dialogue:stop_device"),
-    announcement=_part("identity:announcement"),
+    announcement=_part("dialogue:announcement"),
 )

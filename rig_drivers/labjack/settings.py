@@ -13,7 +13,7 @@ from rig_configs.device import DeviceSettings, DisplacementTable
 from rig_configs.roles import OtherQuantity, Role, RotorPhase
 from rig_configs.table import Finite, NotNegative, Positive, RigTable
 from rig_drivers.labjack import wire
-from rig_drivers.labjack.volts import RANGES_V
+from rig_drivers.labjack.scans import RANGES_V
 
 Analogue = Annotated[str, Field(pattern=r"^AIN([0-9]|1[0-3])$")]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]

@@ -24,9 +24,8 @@ from daq.numbered.due_line import DueLine
 from rig_basics.texts import number_of
 from rig_drivers.labjack import wire
 from rig_drivers.labjack.marks import IndexMarks
-from rig_drivers.labjack.scans import Counts, CutAnswer, ScanCutter, have_no_value
+from rig_drivers.labjack.scans import Counts, CutAnswer, ScanCutter, VoltScale, have_no_value, nominal
 from rig_drivers.labjack.settings import LabJack, other_channel
-from rig_drivers.labjack.volts import VoltScale, nominal
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _FILLING_BYTES, _EMPTY_BYTES = wire.BUFFER_BYTES // 2, wire.BUFFER_BYTES // 8

@@ -83,8 +83,8 @@ DRIVER = Driver(
     poller=_poller,
     checks=_checks,
     far_end=_part("far_end:SimulatedMicroStrain.of"),
-    played=_part("played:PlayedMicroStrain"),
+    played=_part("far_end:PlayedMicroStrain"),
     open=_part("dialogue:open_node"),
     stop=_part("dialogue:stop_node"),
-    identity_request=_part("identity:identity_turns"),
+    identity_request=_part("dialogue:identity_turns"),
 )

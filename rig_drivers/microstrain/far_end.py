@@ -1,6 +1,8 @@
 """A simulated node on the rotor behind its base station: answers commands, samples at the beacon's time.
 
 Its packets are built from the maker's layouts, independent of the decoder.
+
+Stand-in for a MicroStrain node and its base station of a log while the log is played.
 """
 
 from __future__ import annotations
@@ -15,10 +17,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.far_end import Air
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.errors import LogError
 from daq.virtual_rig.world import DeviceClock, World
 from rig_configs.schema import Radio
+from rig_drivers.microstrain import wire
 from rig_drivers.microstrain.rates import RATES_HZ
 from rig_drivers.microstrain.settings import MicroStrainNode
 
@@ -346,3 +351,45 @@ class SimulatedMicroStrain(FarEnd):
 def _identity_words(serial: int) -> dict[int, int]:
     """Return the words of an EEPROM that identify a device."""
     return {46: _MODEL, 48: _MODEL_OPTION, 20: serial >> 16, 22: serial & 0xFFFF, 108: _FIRMWARE, 110: 0}
+
+
+class PlayedMicroStrain(PlayedDevice):
+    """A base station and a node that answer as those of the log.
+
+    Queries of the beacon's time are not answered: the log contains the answers that belong to its samples.
+
+    Args:
+        identity: identity of the node from its opening. Missing entries are taken from the rig file.
+        settings: table of the node in the rig file.
+
+    Raises:
+        LogError: the identity is impossible for such a node.
+    """
+
+    expects = "the start of synchronized sampling"
+
+    def __init__(self, settings: MicroStrainNode, identity: Mapping[str, Any]) -> None:
+        super().__init__()
+        serial = str(identity.get("serial") or settings.serial or "0-0-0")
+        try:
+            model, option, number = (int(part) for part in serial.split("-"))
+        except ValueError as error:
+            raise LogError(f"identities.json: expected a serial like 6305-1000-12345, got {serial!r:.80}") from error
+        if not (0 <= model < 2**16 and 0 <= option < 2**16 and 0 <= number < 2**32):
+            raise LogError(f"identities.json: the serial {serial!r:.80} is impossible for a node")
+        self._node = SimulatedMicroStrain.unmoved(settings, model, option, number)
+        self._status = wire.request(settings.aspp, wire.BASE_ADDRESS, wire.BEACON_STATUS)
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._node.streaming
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._node.start()
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        self.commands += 1
+        return self._node.receive(data.replace(self._status, b""), 0.0) + self._node.step(1.0)

@@ -23,8 +23,7 @@ from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
 from rig_drivers.microstrain import wire
-from rig_drivers.microstrain.answers import Answer, beacon_of
-from rig_drivers.microstrain.framing import PacketSearch
+from rig_drivers.microstrain.framing import Answer, PacketSearch, beacon_of
 from rig_drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
 from rig_drivers.microstrain.settings import MicroStrainNode, quantity_channel
 

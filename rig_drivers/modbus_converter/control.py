@@ -13,7 +13,7 @@ from daq.drivers.ramp import check_ramp
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 from rig_basics.ignoring import ignoring
-from rig_drivers.modbus_converter import states, wire
+from rig_drivers.modbus_converter import registers, wire
 from rig_drivers.modbus_converter.line import Order, RequestLine
 from rig_drivers.modbus_converter.settings import ModbusConverter
 from rig_drivers.modbus_converter.stream import ConverterPipeline, Report
@@ -64,7 +64,7 @@ class ConverterControl(HostCommand):
                 self._take_speed(report.rpm)
                 self._report = report
                 self._reports += 1
-                if self._armed and report.state != states.RUNNING:
+                if self._armed and report.state != registers.RUNNING:
                     self._fall(report.state)
 
     def _recent(self) -> Report | None:
@@ -75,12 +75,12 @@ class ConverterControl(HostCommand):
     @override
     def state(self) -> str:
         report = self._recent()
-        return states.UNKNOWN if report is None else report.state
+        return registers.UNKNOWN if report is None else report.state
 
     @property
     @override
     def enabled(self) -> bool:
-        return self._armed and self.state == states.RUNNING
+        return self._armed and self.state == registers.RUNNING
 
     @override
     def fault_code(self) -> int | None:
@@ -91,7 +91,7 @@ class ConverterControl(HostCommand):
     @override
     def why(self) -> str:
         code = self.fault_code()
-        return "" if code is None else f"; {states.fault_text(code)}"
+        return "" if code is None else f"; {registers.fault_text(code)}"
 
     # --- requests ---------------------------------------------------------------------------------------------
 
@@ -191,7 +191,7 @@ class ConverterControl(HostCommand):
             yield _SILENT
         yield from self._resetting()
         self._check_watchdog()
-        while self.state != states.RUNNING and self._guarded.at_rest() is False:
+        while self.state != registers.RUNNING and self._guarded.at_rest() is False:
             yield self._but("its output is off and the rotor turns. Wait until it stands")
         self.set_ramp(self._ramp_rpm_per_s)
         self._check_permission()
@@ -201,7 +201,7 @@ class ConverterControl(HostCommand):
             requests = [self._write(r.reference, 0), *(self._write(r.control, word) for word in words)]
             self._confirmed(requests, self._check_not_stopped)
             reports = self._reports + 1
-            while self.state != states.RUNNING or self._reports <= reports:
+            while self.state != registers.RUNNING or self._reports <= reports:
                 yield self._but(
                     "expected it to run. Look at its source of commands (the serial line), and at its terminals for "
                     "enable"
@@ -220,14 +220,14 @@ class ConverterControl(HostCommand):
         Raises:
             DeviceError: it has another fault.
         """
-        if self.state != states.FAULT:
+        if self.state != registers.FAULT:
             return
         r, code = self._registers, self.fault_code()
         if code is None or code != r.watchdog_fault:
             raise DeviceError(f"drive: it has a fault{self.why() or '; its code is not readable'}. {_REMEDY}")
         self.was_reset: str = f"the drive had the fault of a missing host (code {code}); it was reset"
         self._confirmed([self._write(r.control, word) for word in (r.stop, r.reset, r.stop)])
-        while self.state in (states.FAULT, states.UNKNOWN):
+        while self.state in (registers.FAULT, registers.UNKNOWN):
             yield self._but(f"the fault stays. {_REMEDY}")
 
     def _check_watchdog(self) -> None:
@@ -251,13 +251,13 @@ class ConverterControl(HostCommand):
             raise DeviceError(
                 "its register table has no communication timeout, or no code of its fault (watchdog_fault)"
             )
-        if not self._guarded.at_rest() or self.state in (states.RUNNING, states.FAULT, states.UNKNOWN):
+        if not self._guarded.at_rest() or self.state in (registers.RUNNING, registers.FAULT, registers.UNKNOWN):
             raise DeviceError(f"the rotor must stand and the converter be off, it is in {self.state}{self.why()}")
         stated_s = self._read(r.watchdog) * r.watchdog_step_s
         longest_s = 0.0
         for share in _SILENCES:
             silent_s = self._stay_silent(share * stated_s)
-            if self.state == states.FAULT:
+            if self.state == registers.FAULT:
                 self._carry_out(self._resetting(), lambda: None, self.enable_s)
                 return TimeOut((longest_s + silent_s) / 2, stated_s, (silent_s - longest_s) / 2)
             longest_s = silent_s
@@ -319,7 +319,7 @@ class ConverterControl(HostCommand):
         reports, r = self._reports + 1, self._registers
 
         def is_off() -> bool:
-            return self._reports > reports and self.state not in (states.RUNNING, states.UNKNOWN)
+            return self._reports > reports and self.state not in (registers.RUNNING, registers.UNKNOWN)
 
         def order() -> Callable[[], bool]:
             self._line.put([self._write(r.control, r.stop), self._write(r.reference, 0)], urgent=True)
@@ -327,24 +327,24 @@ class ConverterControl(HostCommand):
 
         if self._confirm(order):
             return ""
-        known = {states.UNKNOWN: UNCONFIRMED, states.RUNNING: _DISOBEYS}
+        known = {registers.UNKNOWN: UNCONFIRMED, registers.RUNNING: _DISOBEYS}
         return known.get(self.state, f"its state is {self.state}. {_REMEDY}")
 
     @override
     def _rest(self, notify: Callable[[str], None]) -> bool:
         rests = super()._rest(notify)
-        if not rests and self.state == states.RUNNING:
+        if not rests and self.state == registers.RUNNING:
             notify(f"the drive was commanded to stop, {_DISOBEYS}")
         return rests
 
     @override
     def _may_turn(self) -> bool:
-        return self._ordered or self.state == states.RUNNING or self._guarded.at_rest() is False
+        return self._ordered or self.state == registers.RUNNING or self._guarded.at_rest() is False
 
     @override
     def _finish(self) -> str:
         """Switch the output off, if it was on, and end the communication timeout."""
-        if (self._ordered or self.state == states.RUNNING) and (trouble := self._switch_off()):
+        if (self._ordered or self.state == registers.RUNNING) and (trouble := self._switch_off()):
             return trouble
         r = self._registers
         if self._watch_set and r.watchdog is not None and r.watchdog_off is not None:

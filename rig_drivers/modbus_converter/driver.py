@@ -22,9 +22,9 @@ DRIVER = Driver(
     channels=motor_channels,
     pipeline=_part("stream:ConverterPipeline"),
     words=_words,
-    checks=_part("status_checks:converter_checks"),
+    checks=_part("stream:converter_checks"),
     far_end=_part("far_end:SimulatedConverter.of"),
-    played=_part("played:PlayedConverter"),
+    played=_part("far_end:PlayedConverter"),
     open=_part("dialogue:identify"),
     speed_source=_part("control:ConverterControl"),
 )

@@ -1,4 +1,7 @@
-"""A simulated converter: registers behind Modbus RTU, ramps, and a watchdog that stops the motor."""
+"""A simulated converter: registers behind Modbus RTU, ramps, and a watchdog that stops the motor.
+
+Stand-in for a converter of a log while the log is played.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import Any, ClassVar
 
 from typing_extensions import override
 
+from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FaultKind
 from daq.drivers.simulated_motor import COAST_RPM_S, QUICK_RPM_S, SimulatedMotor
 from daq.virtual_rig.motion import SimulatedMotion
@@ -321,3 +325,39 @@ class SimulatedConverter(SimulatedMotor):
         if self._timed_out and code and not self._fault:
             self._trip(code)
         self._timed_out = False
+
+
+class PlayedConverter(PlayedDevice):
+    """A converter that answers the opening dialogue and all writes; its speed is that of the log.
+
+    Its reports are those of the log: the reads of state and speed are answered only before the first byte is played.
+
+    Args:
+        settings: table of the converter in the rig file.
+        identity: of the converter; it is not needed.
+    """
+
+    def __init__(self, settings: ModbusConverter, identity: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._settings = settings
+        self._began = False
+        self._server = RegisterServer(settings, initial_words(settings), self._written, self._reads)
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        answers = self._server.receive(data)
+        self.commands: int = self._server.requests
+        return answers
+
+    def _reads(self, register: int, count: int) -> bool:
+        return not (self._began and (register, count) in self._settings.blocks)
+
+    def _written(self, register: int, value: int) -> int:
+        r = self._settings.registers
+        self.unfollowed += register == r.control and value in (r.run, r.run_reverse)
+        return 0
+
+    def play(self, direction: int, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        self._began = True
+        return super().play(direction, data)

@@ -23,6 +23,10 @@ Words = Annotated[tuple[Word, ...], BeforeValidator(_tuple)]
 Unit = Literal["Hz", "rpm", "%"]
 
 
+FAULT, RUNNING, READY, NOT_READY, UNKNOWN = "FAULT", "RUNNING", "READY", "NOT READY", "UNKNOWN"
+"""States of a converter."""
+
+
 class Registers(RigTable):
     """Registers of a converter; the defaults are those of the table "generic", which is no real converter's.
 
@@ -95,6 +99,25 @@ class Registers(RigTable):
     watchdog_off: Word | None = 0
     watchdog_fault: Word | None = 18
     write_offset: Word = 0
+
+    def state(self, status: int) -> str:
+        """Return the state of a status word."""
+        if status & self.fault_mask in self.fault_values:
+            return FAULT
+        if status & self.running_mask in self.running_values:
+            return RUNNING
+        return READY if not self.ready_values or status & self.ready_mask in self.ready_values else NOT_READY
+
+    def reported_counts(self, status: int, raw: int) -> int:
+        """Return a reported speed with its sign, in counts of its register."""
+        if self.speed_signed:
+            return (raw ^ 0x8000) - 0x8000
+        return -raw if status & self.reverse_mask in self.reverse_values else raw
+
+
+def fault_text(code: int) -> str:
+    """Return a fault code for a message."""
+    return f"fault {code}, see its manual" if code else "no fault any more"
 
 
 TABLES: Mapping[str, Mapping[str, Any]] = {

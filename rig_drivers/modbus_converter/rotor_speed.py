@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from rig_drivers.modbus_converter import states
+from rig_drivers.modbus_converter import registers
 from rig_drivers.modbus_converter.settings import ModbusConverter
 
 _SLACK = 1.5  # factor on the drop of speed that a stop along a ramp can cause between two reports
@@ -37,7 +37,7 @@ class RotorSpeed:
             stopping: whether the host's last command is a stop.
         """
         rest = self._settings.rest_rpm
-        if state == states.RUNNING:
+        if state == registers.RUNNING:
             ran, self._released = self._ran, False
             if not self._doubted and ran is not None and abs(rpm) <= rest:
                 self._doubted = abs(ran[1]) > self._largest_drop(ran[0], host_ns, stopping=stopping)
@@ -46,7 +46,7 @@ class RotorSpeed:
             self._ran, self._doubted = (host_ns, rpm), False
         elif self._ran is not None:
             ran_ns, ran_rpm = self._ran
-            limit = rest if state == states.FAULT else self._largest_drop(ran_ns, host_ns, stopping=stopping)
+            limit = rest if state == registers.FAULT else self._largest_drop(ran_ns, host_ns, stopping=stopping)
             self._released, self._ran, self._doubted = abs(ran_rpm) > limit, None, False
         return math.nan if self._released else rpm
 

@@ -2,21 +2,25 @@
 
 An answer belongs to the last request, and only until the next one is sent. The host's order of requests prevents that a
 late answer fits the next request (`line.RequestLine`). A converter has no clock: samples get the host's time.
+
+Checks of a converter that do not use its speed: its state, its faults, and the requests that it refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.drivers.contract import Pipeline
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import Pipeline, SpeedControl
+from daq.drivers.fault_checks import controller_checks
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
-from rig_drivers.modbus_converter import states, wire
+from rig_drivers.modbus_converter import registers, wire
 from rig_drivers.modbus_converter.rotor_speed import RotorSpeed
 from rig_drivers.modbus_converter.settings import ModbusConverter
 
@@ -208,9 +212,9 @@ class ConverterPipeline(Pipeline):
         if r.status not in words or (r.fault_code is not None and r.fault_code not in words):
             return []  # a part of the report was lost
         status = words[r.status]
-        now = states.state(r, status)
-        fault = 0 if r.fault_code is None or now != states.FAULT else words[r.fault_code]
-        rpm = self._settings.speed_rpm * states.reported_counts(r, status, words[r.speed])
+        now = r.state(status)
+        fault = 0 if r.fault_code is None or now != registers.FAULT else words[r.fault_code]
+        rpm = self._settings.speed_rpm * r.reported_counts(status, words[r.speed])
         rpm = self._rotor.reported(now, rpm, host_ns, stopping=self._stopping)
         report = Report(status, now, fault, rpm)
         words.clear()
@@ -219,7 +223,7 @@ class ConverterPipeline(Pipeline):
         columns = {
             "speed_rpm": np.array([report.rpm]),
             "target_rpm": np.array([self._target_rpm]),
-            "statusword": np.array([states.statusword(status, fault)], np.uint32),
+            "statusword": np.array([status | fault << 16], np.uint32),  # bits 0–15 status word, 16–31 present fault
         }
         batch = Batch(channels.MOTOR, np.array([host_ns], np.int64), np.zeros(1, np.uint32), columns)
         return [*out, batch]
@@ -240,5 +244,26 @@ class ConverterPipeline(Pipeline):
         if before is None or before.state != report.state:
             out.append(DeviceEvent("drive", self._device, report.state, {"statusword": status}))
         if fault != (0 if before is None else before.fault):
-            out.append(DeviceEvent("emergency", self._device, states.fault_text(fault), {"error_code": fault}))
+            out.append(DeviceEvent("emergency", self._device, registers.fault_text(fault), {"error_code": fault}))
         return out
+
+
+def converter_checks(
+    settings: ModbusConverter, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+) -> Checks:
+    """Return the checks of an open converter.
+
+    Args:
+        settings: table of the converter in the rig file.
+        pipeline: pipeline of the converter.
+        control: command of the converter; None if its bytes are only received.
+        events: events of the converter during the check.
+    """
+    out = controller_checks(control, events, registers.fault_text, (registers.FAULT, registers.UNKNOWN))
+    refused = [event.text for event in events if event.kind == "refused"]
+    note = "compare the register table with its manual" if refused else ""
+    out["refused_requests"] = DeviceCheck(len(refused), 0, not refused, note)
+    if isinstance(pipeline, ConverterPipeline) and pipeline.echoes:
+        note = "the adapter returns the host's own bytes; they are dropped. Switch the echo off if the adapter can"
+        out["echo"] = DeviceCheck("yes", "no or yes", True, note)
+    return out

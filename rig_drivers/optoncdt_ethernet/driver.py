@@ -37,5 +37,5 @@ DRIVER = Driver(
     pipeline=_part("stream:EthernetPipeline"),
     far_end=_part("far_end:SimulatedEthernetLaser.of"),
     checks=_checks,
-    recognise=_part("identity:recognise"),
+    recognise=_part("stream:recognise"),
 )

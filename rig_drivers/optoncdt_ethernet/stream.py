@@ -3,6 +3,8 @@
 The time of a sample is its number times the sampling period on the sensor's clock, mapped to the common clock. TCP
 loses nothing; what the sensor drops because the network is slow, and what is missed while the connection is closed, is
 seen in the counter.
+
+Recognition of an optoNCDT 2300 on Ethernet by its packets, which contain its serial number. Nothing is sent.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.identification import FoundDevice
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
@@ -253,3 +256,26 @@ class EthernetPipeline(Pipeline):
 
 def _hex(flags: tuple[int, int]) -> str:
     return " ".join(f"{word:08X}h" for word in flags)
+
+
+def recognise(settings: EthernetLaser, data: bytes) -> FoundDevice | None:
+    """Return the serial number of the first packet, and the values of its frames; see `Driver.recognise`.
+
+    The values are those of the settings if these fit the frames, otherwise those that the packet's flags name.
+    """
+    words = settings.words
+    decoded = wire.PacketDecoder(len(words)).feed(data)
+    if not decoded.packets and (words := _named_values(decoded.misfits)):
+        decoded = wire.PacketDecoder(len(words)).feed(data)
+    if not decoded.packets:
+        return None
+    first = decoded.packets[0]
+    identity: dict[str, int] = {"order": first.order, "serial": first.serial}
+    return FoundDevice({"serial": first.serial} | ({"words": list(words)} if len(words) > 1 else {}), identity)
+
+
+def _named_values(misfits: Sequence[wire.Misfit]) -> tuple[str, ...]:
+    """Return the values that the flags of the headers name, if the frames have so many, otherwise none."""
+    size = wire.FrameSize().feed(misfits)
+    words = wire.values_named(misfits[-1].flags) if misfits else ()
+    return words if size == 4 * len(words) else ()

@@ -24,7 +24,7 @@ DRIVER = Driver(
     pipeline=_part("stream:PolledPipeline"),
     poller=_part("poller:SensorPoller"),
     far_end=_part("far_end:SimulatedPolledLaser.of"),
-    played=_part("played:PlayedPolledLaser"),
+    played=_part("far_end:PlayedPolledLaser"),
     open=_part("dialogue:identify"),
-    identity_request=_part("identity:identity_turns"),
+    identity_request=_part("dialogue:identity_turns"),
 )

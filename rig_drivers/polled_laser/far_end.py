@@ -1,4 +1,7 @@
-"""A simulated displacement sensor that answers one value to one request."""
+"""A simulated displacement sensor that answers one value to one request.
+
+Stand-in for a polled displacement sensor of a log while the log is played.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
@@ -92,3 +96,27 @@ class SimulatedPolledLaser(FarEnd):
         self._asked.clear()
         self._measured.clear()
         self._request.clear()
+
+
+class PlayedPolledLaser(PlayedDevice):
+    """A sensor that answers the opening dialogue with 0, and then plays the answers of the log at their times.
+
+    Args:
+        settings: table of the sensor in the rig file.
+        identity: of the sensor; it is not needed.
+    """
+
+    expects = "a request"
+
+    def __init__(self, settings: PolledLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__(sends=False)
+        self._settings, self._dialect = settings, wire.DIALECTS[settings.dialect]
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        if self._sends:  # the values follow from the log
+            is_probe = data == self._dialect.probe(self._settings.output)
+            return self._dialect.probe_answer(self._settings.output) if is_probe else b""
+        self.commands += 1
+        self._sends = True
+        return self._dialect.answer(data, self._settings.output, wire.Reading(0.0)) or b""

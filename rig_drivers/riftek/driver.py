@@ -24,8 +24,8 @@ DRIVER = Driver(
     clocks=partial(displacement_clocks, 2**32),
     pipeline=_part("stream:RiftekPipeline"),
     far_end=_part("far_end:SimulatedRiftek.of"),
-    played=_part("played:PlayedRiftek"),
+    played=_part("far_end:PlayedRiftek"),
     open=_part("dialogue:configure"),
     stop=_part("dialogue:stop"),
-    identity_request=_part("identity:identity_turns"),
+    identity_request=_part("dialogue:identity_turns"),
 )

@@ -1,4 +1,7 @@
-"""A simulated RF60x sensor: answers requests, streams results on its own clock."""
+"""A simulated RF60x sensor: answers requests, streams results on its own clock.
+
+Stand-in for an RF60x sensor of a log while the log is played.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.errors import LogError
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 from rig_drivers.riftek import wire
@@ -192,3 +197,40 @@ class SimulatedRiftek(FarEnd):
             self.streaming, self._next, self._number = False, None, 0
             self.parameters = dict(self._stored)
             self._request.clear()
+
+
+class PlayedRiftek(PlayedDevice):
+    """An RF60x sensor that answers as the sensor of the log. Commands do not change the bytes of the log.
+
+    Args:
+        identity: identity of the sensor from its opening. Missing entries are taken from the rig file.
+        settings: table of the sensor in the rig file.
+
+    Raises:
+        LogError: the identity is impossible for such a sensor.
+    """
+
+    expects = "the start of the stream"
+
+    def __init__(self, settings: RiftekLaser, identity: Mapping[str, Any]) -> None:
+        super().__init__()
+        range_m = identity.get("told_range_m", identity.get("range_m", settings.range_m))
+        serial = str(identity.get("serial", "0"))
+        if not isinstance(range_m, int | float) or not 0 < range_m < 65.536 or not serial.isdecimal():
+            raise LogError(f"identities.json: expected range and serial number of an RF60x, got {dict(identity)!r:.80}")
+        reported = settings.model_copy(update={"range_m": float(range_m)})
+        self._sensor = SimulatedRiftek.unmoved(reported, serial)
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._sensor.streaming
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._sensor.streaming = True
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        self.commands += sum(byte < 0x80 for byte in data)
+        return self._sensor.receive(data)

@@ -1,15 +1,22 @@
-"""Identification of a VESC, before any command to its motor."""
+"""Identification of a VESC, before any command to its motor.
+
+Identification of a VESC on an unknown port or on the network. No command to the motor is sent.
+"""
 
 from __future__ import annotations
 
+import ipaddress
 from typing import Any
 
 from daq.drivers.contract import Talk
+from daq.drivers.identification import Announcement, FoundDevice, IdentityRequest, IdentityTurns, NetworkDevice
 from daq.drivers.questions import TRIES, ask
 from daq.errors import DeviceError
+from daq.transports.port_names import network_port
 from rig_basics.texts import number_of
 from rig_drivers.vesc import wire
-from rig_drivers.vesc.settings import VescMotor
+from rig_drivers.vesc.packets import PacketDecoder
+from rig_drivers.vesc.settings import Vesc, VescMotor
 
 _MIN_MAJOR = 3  # first major version of the firmware whose answers have the layout in `wire`
 
@@ -55,3 +62,49 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
     raise DeviceError(
         f"{device} on {settings.port}: expected its firmware's version, {came} in {TRIES} tries{also}. {advice}"
     )
+
+
+ANNOUNCED_ON = 65_109
+"""UDP port to which a VESC Express broadcasts its address each second. Source: its firmware, main/comm_wifi.c."""
+
+
+def identity_turns(settings: Vesc) -> IdentityTurns:
+    """Query the firmware's version, which does not reset the controller's timeout."""
+    request = IdentityRequest(wire.firmware_version(), lambda data: _firmware(data) is not None)
+    firmware = _firmware((yield request))
+    if firmware is None:
+        return None
+    identity = {
+        "firmware": f"{firmware.major}.{firmware.minor:02d}",
+        "hardware": firmware.hardware,
+        "serial": firmware.serial,
+    }
+    return FoundDevice({"baud": settings.baud}, identity)
+
+
+def _firmware(data: bytes) -> wire.Firmware | None:
+    payloads = PacketDecoder().feed(data).payloads
+    return next((found for payload in payloads if (found := wire.parse_identity(payload)) is not None), None)
+
+
+def announced(data: bytes, sender: str) -> NetworkDevice | None:
+    """Parse a datagram `NAME::ADDRESS::PORT`, which a NUL ends.
+
+    Args:
+        data: the datagram.
+        sender: address from which it came. It is used in place of an address that cannot be reached.
+    """
+    name, *rest = data.rstrip(b"\0").decode("utf-8", "replace").split("::")
+    if len(rest) != 2 or not (rest[1].isascii() and rest[1].isdecimal() and 0 < int(rest[1]) < 2**16):
+        return None
+    try:
+        address = ipaddress.IPv4Address(rest[0])
+    except ValueError:  # usual: the datagram of another device
+        return None
+    host = sender if address.is_unspecified else str(address)
+    return NetworkDevice(network_port(host, int(rest[1])), FoundDevice({}, {"name": name}))
+
+
+def announcement() -> Announcement:
+    """Return how a program of the maker announces the controller that it is connected to."""
+    return Announcement(ANNOUNCED_ON, announced)

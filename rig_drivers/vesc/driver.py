@@ -52,9 +52,9 @@ DRIVER = Driver(
     words=words,
     checks=checks,
     far_end=_part("far_end:SimulatedVesc.of"),
-    played=_part("played:PlayedVesc"),
+    played=_part("far_end:PlayedVesc"),
     open=_open,
     speed_source=_part("control:VescControl"),
-    identity_request=_part("identity:identity_turns"),
-    announcement=_part("identity:announcement"),
+    identity_request=_part("dialogue:identity_turns"),
+    announcement=_part("dialogue:announcement"),
 )

@@ -1,4 +1,7 @@
-"""A simulated VESC: it turns the rotor as commanded, answers polls, and has a timeout of its own."""
+"""A simulated VESC: it turns the rotor as commanded, answers polls, and has a timeout of its own.
+
+Stand-in for a VESC of a log while the log is played.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from typing import Any, ClassVar, Self
 
 from typing_extensions import override
 
+from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FaultKind
 from daq.drivers.simulated_motor import COAST_RPM_S, LOOP_RPM_S, SimulatedMotor
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_drivers.vesc import packets, wire
-from rig_drivers.vesc.settings import VescMotor
+from rig_drivers.vesc.settings import Vesc, VescMotor
 
 _BRAKE_RPM_S_PER_A = 200.0
 _STEPS_PER_ERPM_S = 6 / 60  # a motor makes six steps per electrical revolution
@@ -193,3 +197,39 @@ class SimulatedVesc(SimulatedMotor):
         if command.what == wire.SET_RPM and abs(command.number) >= self._settings.min_erpm:
             return command.number / self._settings.pole_pairs, 0.0
         return None, 0.0
+
+
+class PlayedVesc(PlayedDevice):
+    """A VESC that reports its identity; its answers to polls, and thus the speed, are those of the log.
+
+    Args:
+        settings: table of the controller in the rig file.
+        identity: identity of the controller from its opening.
+    """
+
+    def __init__(self, settings: Vesc, identity: Mapping[str, Any]) -> None:
+        super().__init__()
+        self._decoder = packets.PacketDecoder()
+        self._firmware = firmware_of(identity)
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice."""
+        answers = b""
+        for payload in self._decoder.feed(data).payloads:
+            self.commands += 1
+            command = wire.parse_command(payload)
+            self.unfollowed += command is not None and command.what == wire.SET_RPM
+            if payload[:1] == bytes([wire.FIRMWARE_VERSION]):
+                answers += packets.packet(wire.pack_firmware(self._firmware))
+        return answers
+
+
+def firmware_of(identity: Mapping[str, Any]) -> wire.Firmware:
+    """Return the firmware of an identity; a known firmware if the identity is incomplete or invalid."""
+    try:
+        major, minor = (int(part) for part in str(identity["firmware"]).split("."))
+        found = wire.Firmware(major, minor, str(identity["hardware"]), str(identity["serial"]))
+        wire.pack_firmware(found)
+    except (KeyError, ValueError):  # usual: the identity in the log is incomplete
+        return wire.Firmware(6, 5, "played", "00" * 12)
+    return found

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def _checks(settings: VescCan, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
     """Return the state, the faults, and the rate of the status messages."""
-    from rig_drivers.vesc_can.status_watch import status_check
+    from rig_drivers.vesc_can.stream import status_check
 
     found = vesc.checks(settings, pipeline, control, events)
     return {**found, "status_Hz": status_check(settings, pipeline.status_watch)}
@@ -62,7 +62,7 @@ DRIVER = Driver(
     words=vesc.words,
     checks=_checks,
     far_end=_part("far_end:SimulatedVescCan.of"),
-    played=_part("played:PlayedVescCan"),
+    played=_part("far_end:PlayedVescCan"),
     open=_open,
     stop=close_bus,
     speed_source=_speed_source,

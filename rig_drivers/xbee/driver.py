@@ -21,9 +21,9 @@ DRIVER = Driver(
     pipeline=_part("stream:XBeePipeline"),
     checks=parts_of("daq.drivers.rotorlink")("status_checks:node_checks"),
     far_end=_part("far_end:SimulatedXBeeNode.of"),
-    played=_part("played:PlayedXBee"),
+    played=_part("far_end:PlayedXBee"),
     open=_part("dialogue:identify"),
     locks=_part("locks:XBeeLocks"),
-    recognise=_part("identity:recognise"),
-    identity_request=_part("identity:identity_turns"),
+    recognise=_part("dialogue:recognise"),
+    identity_request=_part("dialogue:identity_turns"),
 )

@@ -29,13 +29,12 @@ from rig_configs import load_rig
 from rig_configs.roles import PendulumAngles, PendulumLocks, RotorPhase
 from rig_drivers.cia406 import wire
 from rig_drivers.cia406.driver import DRIVER
-from rig_drivers.cia406.far_end import SimulatedEncoders
-from rig_drivers.cia406.free_running import OwnTimer
-from rig_drivers.cia406.played import PlayedEncoders
+from rig_drivers.cia406.far_end import PlayedEncoders, SimulatedEncoders
 from rig_drivers.cia406.reports import Instant, Marks, Turns
 from rig_drivers.cia406.settings import EncoderBus
 from rig_drivers.cia406.stream import EncoderPipeline
 from rig_drivers.cia406.sync_sender import LATEST_S, SyncSender
+from rig_drivers.cia406.synchronous import OwnTimer
 from rig_testing.bench import DriverBench
 from tests.daq.can_text import rx, tx
 from tests.daq.kit_cases import kit_cases

@@ -16,8 +16,7 @@ from daq.items import RX, TX, Batch, DeviceEvent
 from rig_configs import load_rig
 from rig_drivers.cia406 import wire
 from rig_drivers.cia406.driver import DRIVER
-from rig_drivers.cia406.far_end import SimulatedEncoders
-from rig_drivers.cia406.played import PlayedEncoders
+from rig_drivers.cia406.far_end import PlayedEncoders, SimulatedEncoders
 from rig_drivers.cia406.stream import EncoderPipeline
 from rig_testing.bench import DriverBench
 from tests.daq.acquisition.test_device_check import healthy

@@ -9,7 +9,7 @@ import pytest
 
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch
-from rig_drivers.cia406.played import PlayedEncoders
+from rig_drivers.cia406.far_end import PlayedEncoders
 from rig_drivers.cia406.stream import EncoderPipeline
 from rig_testing.bench import DriverBench
 from tests.daq.can_text import rx, tx

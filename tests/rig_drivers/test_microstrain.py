@@ -24,9 +24,8 @@ from daq.replay import check
 from daq.signals.run import load_run
 from rig_drivers.microstrain import wire
 from rig_drivers.microstrain.driver import DRIVER
-from rig_drivers.microstrain.far_end import SimulatedMicroStrain
+from rig_drivers.microstrain.far_end import PlayedMicroStrain, SimulatedMicroStrain
 from rig_drivers.microstrain.framing import PacketSearch
-from rig_drivers.microstrain.played import PlayedMicroStrain
 from rig_drivers.microstrain.settings import MicroStrainNode
 from rig_drivers.microstrain.stream import MicroStrainPipeline
 from rig_testing.bench import DriverBench

@@ -8,7 +8,7 @@ import pytest
 
 from daq.drivers.identification import FoundDevice
 from rig_drivers.microstrain import wire
-from rig_drivers.microstrain.identity import identity_turns
+from rig_drivers.microstrain.dialogue import identity_turns
 from rig_drivers.microstrain.rates import BASE_ADDRESS
 from rig_drivers.microstrain.wire import Version
 from tests.rig_drivers.test_microstrain import packet, settings, sweeps

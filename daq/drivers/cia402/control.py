@@ -13,13 +13,13 @@ from daq.drivers.can_lines import FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import NodeObjects
-from daq.drivers.cia402 import demands, faults, statements, wire as cia402
+from daq.drivers.cia402 import demands, faults, wire as cia402
+from daq.drivers.cia402.demands import set_ramps
 from daq.drivers.cia402.faults import REMEDY
 from daq.drivers.cia402.process_data import map_process_data
-from daq.drivers.cia402.profile import profile_of
-from daq.drivers.cia402.ramps import set_ramps
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
+from daq.drivers.cia402.wire import profile_of
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.host_command import UNCONFIRMED, HostCommand, Steps
 from daq.errors import DeviceError, LinkLost
@@ -368,11 +368,11 @@ class DriveControl(HostCommand):
 
     def ignores_missing_host(self) -> bool:
         """Return whether the drive goes on turning without its host: it states no reaction, and no FAULT followed."""
-        return self._fault_without_host is False and statements.reaction(self._objects) == statements.NO_REACTION
+        return self._fault_without_host is False and faults.reaction(self._objects) == faults.NO_REACTION
 
     def units_per_rpm(self) -> tuple[float, float] | None:
         """Return the units of speed for 1 rpm of the rig file and of the drive; None in rpm, or if it states none."""
-        stated = None if self._config.mode == "velocity" else statements.units_per_rpm(self._objects)
+        stated = None if self._config.mode == "velocity" else faults.units_per_rpm(self._objects)
         return None if stated is None else (self._profile.units_per_rpm, stated)
 
     def _start_heartbeat(self) -> None:

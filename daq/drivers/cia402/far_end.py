@@ -1,33 +1,72 @@
-"""A simulated CiA 402 drive behind an slcan adapter: SDO server, PDOs, heartbeats both ways, quick stop."""
+"""A simulated CiA 402 drive behind an slcan adapter: SDO server, PDOs, heartbeats both ways, quick stop.
+
+Stand-in for a CiA 402 drive of a log while the log is played.
+
+The objects of a simulated drive, and of the stand-in for a drive of a log.
+"""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
 from typing_extensions import override
 
-from daq.drivers.can_lines import Adapter
+from daq.drivers.can_lines import Adapter, PlayedOnBus
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_STOP, RESETS, Node, Objects
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.drive_objects import drive_objects
-from daq.drivers.cia402.profile import (
+from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.cia402.wire import (
     PROFILE_ACCELERATION,
     PROFILE_DECELERATION,
     SPEED_ZERO,
     TARGET_REACHED,
     VELOCITY,
+    SpeedProfile,
     profile_of,
 )
-from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.simulated import FaultKind
 from daq.drivers.simulated_motor import COAST_RPM_S, QUICK_RPM_S, Periodic, SimulatedMotor
-from daq.transports.can_frames import CanFrame
+from daq.transports.can_frames import CanFrame, decode
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
+
+
+def drive_objects(node: int, profile: SpeedProfile = VELOCITY) -> Objects:
+    """Return the minimum objects of a drive with initial values: ramps 100 rpm/s, no reports at rest."""
+    ordered = profile.mapping(cia402.CONTROLWORD, profile.target)
+    reported = profile.mapping(cia402.STATUSWORD, profile.actual)
+    ramp = round(100 * profile.units_per_rpm)
+    return {
+        (cia301.RPDO1, 1): (cia301.cob_rpdo(1, node), "<I"),
+        (cia301.RPDO1, 2): (255, "<B"),
+        (cia301.RPDO1_MAPPING, 0): (2, "<B"),
+        (cia301.RPDO1_MAPPING, 1): (ordered[0], "<I"),
+        (cia301.RPDO1_MAPPING, 2): (ordered[1], "<I"),
+        (cia301.TPDO1, 1): (cia301.cob_tpdo(1, node), "<I"),
+        (cia301.TPDO1, 2): (255, "<B"),
+        (cia301.TPDO1, 5): (0, "<H"),
+        (cia301.TPDO1_MAPPING, 0): (2, "<B"),
+        (cia301.TPDO1_MAPPING, 1): (reported[0], "<I"),
+        (cia301.TPDO1_MAPPING, 2): (reported[1], "<I"),
+        (0x1000, 0): (0x00020192, "<I"),
+        (0x1001, 0): (0, "<B"),
+        (cia301.CONSUMER_HEARTBEAT, 1): (0, "<I"),
+        (cia301.PRODUCER_HEARTBEAT, 0): (0, "<H"),
+        (cia402.CONTROLWORD, 0): (0, "<H"),
+        (profile.target, 0): (0, "<h" if profile.bits == 16 else "<i"),
+        (PROFILE_ACCELERATION, 0): (ramp, "<I"),
+        (PROFILE_DECELERATION, 0): (ramp, "<I"),
+        (cia402.VELOCITY_ACCELERATION, 1): (100, "<I"),
+        (cia402.VELOCITY_ACCELERATION, 2): (1, "<H"),
+        (cia402.VELOCITY_DECELERATION, 1): (100, "<I"),
+        (cia402.VELOCITY_DECELERATION, 2): (1, "<H"),
+        (cia402.MODE_OF_OPERATION, 0): (0, "<b"),
+    }
+
 
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(QUICK_RPM_S), "<I")}
@@ -257,3 +296,64 @@ class SimulatedDrive(SimulatedMotor):
         for rpm in self._reported_speeds(self._reports.due(now_s, self._report_s)):
             data = self._profile.pack(self._statusword, rpm)
             self._adapter.out.append(CanFrame(cia301.cob_tpdo(1, self._config.node_id), data))
+
+
+class PlayedDrive(PlayedOnBus):
+    """A drive behind its adapter. It accepts settings and follows network commands; its speed is that of the log.
+
+    Args:
+        config: table of the drive in the rig file.
+        identity: of the drive; it is not needed.
+    """
+
+    expects = "the network's start"
+
+    def __init__(self, config: MotorDrive, identity: Mapping[str, Any]) -> None:
+        super().__init__({cia301.cob_heartbeat(config.host_node_id)})
+        self._host_beat = cia301.cob_heartbeat(config.host_node_id)
+        self._profile = profile_of(config)
+        self._reported = bytes(self._profile.size)
+        objects = self._objects = drive_objects(config.node_id, self._profile)
+        measured = {
+            (cia402.STATUSWORD, 0): lambda: self._reported[:2],
+            (self._profile.actual, 0): lambda: self._reported[2:],
+            (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", objects[cia402.MODE_OF_OPERATION, 0][0]),
+        }
+        self._node = Node(config.node_id, objects, measured, self._written)
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return super().sending and self._node.operational
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        super().begin()
+        self._node.state = cia301.Heartbeat.OPERATIONAL
+
+    def is_host(self, frame: CanFrame) -> bool:
+        """See PlayedOnBus."""
+        return frame.arbitration_id == self._host_beat
+
+    def _pass(self, data: bytes) -> bytes:
+        for frame in decode(data).frames:
+            if frame.arbitration_id == cia301.cob_tpdo(1, self._node.number) and len(frame.data) >= self._profile.size:
+                self._reported = frame.data[: self._profile.size]
+        return super()._pass(data)
+
+    def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
+        """See PlayedOnBus."""
+        data = frame.data
+        yield from self._node.answers(frame)
+        if frame.arbitration_id == cia301.cob_rpdo(1, self._node.number) and len(data) == self._profile.size:
+            form = self._objects[self._profile.target, 0][1]
+            self._objects[self._profile.target, 0] = (struct.unpack(form, data[2:])[0], form)
+            self._turn(self._profile.unpack(data)[0])
+
+    def _written(self, index: int, sub: int, value: int) -> None:
+        if (index, sub) == (cia402.CONTROLWORD, 0):
+            self._turn(value)
+
+    def _turn(self, controlword: int) -> None:
+        """Count a command to operate, which a log cannot follow. Commands that end operation are not counted."""
+        self.unfollowed += controlword & 0x0F == cia402.ENABLE_OPERATION

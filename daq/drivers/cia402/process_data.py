@@ -18,7 +18,7 @@ from daq.drivers.canopen.changes import MAX_ENTRIES, PDO_NO_REMOTE, PDO_OFF, Cha
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
 from daq.drivers.canopen.objects import NoAnswer, NodeObjects
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
+from daq.drivers.cia402.wire import VELOCITY, SpeedProfile
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 from rig_basics.texts import number_of

@@ -8,9 +8,8 @@ from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia402 import wire
 from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.faults import REMEDY
+from daq.drivers.cia402.faults import REMEDY, is_decimal_error
 from daq.drivers.cia402.host_beats import IN_A_ROW
-from daq.drivers.cia402.statements import is_decimal_error
 from daq.drivers.contract import SpeedControl
 from daq.drivers.fault_checks import controller_checks
 from daq.items import DeviceEvent

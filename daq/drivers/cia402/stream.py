@@ -12,8 +12,8 @@ from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
-from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.cia402.wire import profile_of
 from daq.drivers.contract import Pipeline, PipelineStatus
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame

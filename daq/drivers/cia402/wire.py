@@ -1,10 +1,21 @@
 """CANopen frames (CiA 301) of a drive, and the CiA 402 state machine in velocity mode.
 
 A pure codec without bus and clock, used by the host and by the simulated drive. Speeds are the drive's words, in rpm.
+
+The two ways to command a speed: velocity mode (vl) and profile velocity mode (pv) of CiA 402.
+
+They differ in their objects, in the width of a speed, and in its unit. In velocity mode speeds are i16 in rpm. In
+profile velocity mode they are i32 in a unit of the drive, and ramps are rates in that unit per second.
 """
 
+from __future__ import annotations
+
 import struct
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+from daq.drivers.canopen import cia301
+from daq.drivers.cia402.settings import MotorDrive
 
 # Object dictionary
 ABORT_REACTION, ERROR_CODE = 0x6007, 0x603F
@@ -118,3 +129,71 @@ def _four(data: bytes, what: str) -> tuple[int, int]:
 def consumer_heartbeat(host_node: int, timeout_ms: int) -> int:
     """Return the value of 1016h sub 1: the drive makes a quick stop without this node's heartbeat for `timeout_ms`."""
     return host_node << 16 | timeout_ms
+
+
+MODE_PROFILE_VELOCITY = 3
+PROFILE_TARGET, PROFILE_ACTUAL = 0x60FF, 0x606C
+PROFILE_ACCELERATION, PROFILE_DECELERATION = 0x6083, 0x6084
+"""Ramps of profile velocity mode (u32), in units of speed per second."""
+TARGET_REACHED, SPEED_ZERO = 1 << 10, 1 << 12
+"""Bits of the statusword in profile velocity mode."""
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """A mode of operation for speeds.
+
+    Attributes:
+        mode: value of 6060h.
+        target, actual: objects of target and actual speed.
+        bits: width of both, 16 or 32.
+        units_per_rpm: unit of both: their number for 1 rpm.
+    """
+
+    mode: int
+    target: int
+    actual: int
+    bits: int
+    units_per_rpm: float = 1.0
+
+    @cached_property
+    def _form(self) -> struct.Struct:
+        return struct.Struct("<Hh" if self.bits == 16 else "<Hi")
+
+    @property
+    def size(self) -> int:
+        """Bytes of the process data: control- or statusword u16, and speed."""
+        return self._form.size
+
+    def pack(self, word: int, rpm: float) -> bytes:
+        """Encode control- or statusword and a speed, rpm; a speed outside of the range is limited to it."""
+        largest = (1 << self.bits - 1) - 1
+        return self._form.pack(word, max(-largest, min(round(rpm * self.units_per_rpm), largest)))
+
+    def unpack(self, data: bytes) -> tuple[int, float]:
+        """Return control- or statusword and the speed, rpm; further mapped objects are ignored.
+
+        Raises:
+            struct.error: there are fewer than `size` bytes.
+        """
+        word, speed = self._form.unpack(data[: self.size])
+        return word, speed / self.units_per_rpm
+
+    def rpm(self, raw: int) -> float:
+        """Return the speed, rpm, of the unsigned value of an object."""
+        sign = 1 << self.bits - 1
+        return ((raw & 2 * sign - 1 ^ sign) - sign) / self.units_per_rpm
+
+    def mapping(self, word: int, speed: int) -> tuple[int, int]:
+        """Return the entries of a PDO's mapping for a word of 16 bits and a speed."""
+        return cia301.mapped_word(word), speed << 16 | self.bits
+
+
+VELOCITY = SpeedProfile(MODE_VELOCITY, TARGET_VELOCITY, ACTUAL_VELOCITY, 16)
+
+
+def profile_of(config: MotorDrive) -> SpeedProfile:
+    """Return the mode of operation of a drive, with the drive's unit."""
+    if config.mode == "velocity":
+        return VELOCITY
+    return SpeedProfile(MODE_PROFILE_VELOCITY, PROFILE_TARGET, PROFILE_ACTUAL, 32, config.units_per_rpm)

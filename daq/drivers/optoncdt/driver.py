@@ -46,10 +46,10 @@ DRIVER = Driver(
     clocks=partial(displacement_clocks, 2**18),
     pipeline=_part("stream:LaserPipeline"),
     far_end=_part("far_end:SimulatedLaser.of"),
-    played=_part("played:PlayedLaser"),
+    played=_part("far_end:PlayedLaser"),
     checks=_checks,
     code_meaning=_code_meaning,
     open=_part("dialogue:configure"),
     stop=_stop,
-    identity_request=_part("identity:identity_turns"),
+    identity_request=_part("dialogue:identity_turns"),
 )

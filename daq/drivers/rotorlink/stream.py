@@ -16,8 +16,7 @@ from daq.drivers.index_marks import MarkSequence
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.node_choice import NodeChoice
-from daq.drivers.rotorlink.node_clock import MAX_WAIT_NS, NodeClock, Step
-from daq.drivers.rotorlink.sender import Sender
+from daq.drivers.rotorlink.sender import MAX_WAIT_NS, NodeClock, Sender, Step
 from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent, loss_words
 from daq.numbered.look_ahead import LookAhead, Run

@@ -123,7 +123,7 @@ def test_a_fault_is_reported_with_its_emergency(simulated: LockstepRig, cabled: 
 def test_a_rotor_that_still_turns_at_the_end_is_reported(
     simulated: LockstepRig, cabled: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
+    monkeypatch.setattr("daq.drivers.ramp._MAX_RUN_DOWN_S", 1.0)
     messages: list[str] = []
     still = "the rotor still turns"
     with (  # noqa: PT012

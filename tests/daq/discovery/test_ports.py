@@ -30,9 +30,9 @@ from daq.drivers.identification import Announcement, FoundDevice, NetworkDevice
 from daq.drivers.registry import driver
 from daq.errors import LinkLost
 from daq.transports import HostClock
-from rig_drivers.labjack import identity
-from rig_drivers.labjack.identity import found as found_labjack
-from rig_drivers.vesc.identity import announced
+from rig_drivers.labjack import dialogue
+from rig_drivers.labjack.dialogue import found as found_labjack
+from rig_drivers.vesc.dialogue import announced
 from tests.daq.free_ports import free_udp_port
 
 # --- ports ---------------------------------------------------------------------------------------------------------
@@ -428,7 +428,7 @@ def test_a_labjack_on_the_network_is_found_with_a_table_for_the_rig_file(monkeyp
 
     def made(read: Callable[[bytes, str], NetworkDevice | None], port: int) -> Driver:
         changed = partial(replace, announcement, read=read, request_port=port)
-        monkeypatch.setattr(identity, "announcement", changed)
+        monkeypatch.setattr(dialogue, "announcement", changed)
         return labjack
 
     (one,), request = asked(made, found_labjack, LABJACK_ANSWER, monkeypatch)

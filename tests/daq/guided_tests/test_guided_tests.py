@@ -12,7 +12,7 @@ from daq.acquisition.session import Session
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import SdoServer
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.far_end import drive_objects
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.lockstep.rig import LockstepRig

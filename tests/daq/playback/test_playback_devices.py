@@ -13,9 +13,9 @@ from hypothesis import given, strategies as st
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.played import PlayedDrive
+from daq.drivers.cia402.far_end import PlayedDrive
 from daq.drivers.optoncdt import dialogue as lasers, sensor_answers, wire as optoncdt
-from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
+from daq.drivers.optoncdt.far_end import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.played import PlayedNode
 from daq.errors import DeviceError, LogError

@@ -30,7 +30,7 @@ from rig_drivers.labjack import wire
 from rig_drivers.labjack.driver import DRIVER
 from rig_drivers.labjack.far_end import SimulatedLabJack
 from rig_drivers.labjack.marks import EdgeFinder
-from rig_drivers.labjack.volts import nominal, read_constants
+from rig_drivers.labjack.scans import nominal, read_constants
 from rig_testing.bench import DriverBench
 from tests.daq.kit_cases import LONG
 from tests.effort import thorough

@@ -13,7 +13,7 @@ from daq.drivers.driver import Driver
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
 from rig_basics.units import TO_RPM
-from rig_drivers.modbus_converter import states, wire
+from rig_drivers.modbus_converter import registers, wire
 from rig_drivers.modbus_converter.control import ConverterControl
 from rig_drivers.modbus_converter.driver import DRIVER
 from rig_drivers.modbus_converter.far_end import SimulatedConverter
@@ -156,7 +156,7 @@ def test_a_stop_is_sent_to_a_converter_that_does_not_answer(bench: Bench) -> Non
     bench.converter.fail("mute", 1)
     bench.clock.wait(0.7)
     assert math.isnan(bench.drive.actual_rpm)
-    assert bench.drive.state == states.UNKNOWN
+    assert bench.drive.state == registers.UNKNOWN
     assert not bench.drive.enabled
     messages: list[str] = []
     assert bench.drive.stop(messages.append) is False
@@ -249,7 +249,7 @@ def test_the_converter_stops_when_requests_stay_away(bench: Bench) -> None:
     bench.clock.wait(0.5)
     bench.converter.fail("deaf", 0)
     bench.clock.wait(0.5)
-    assert bench.drive.dropped_out == states.FAULT
+    assert bench.drive.dropped_out == registers.FAULT
     assert bench.drive.fault_code() == 18
     bench.drive.enable()
     assert "missing host (code 18)" in bench.drive.was_reset
@@ -277,7 +277,7 @@ def test_a_converter_that_started_again_is_not_enabled(bench: Bench) -> None:
     bench.clock.wait(0.7)
     bench.converter.power(True, bench.clock.wall_s())
     bench.clock.wait(8.0)
-    assert bench.drive.dropped_out == states.READY
+    assert bench.drive.dropped_out == registers.READY
     with pytest.raises(DeviceError, match="it started again"):
         bench.drive.enable()
 
@@ -290,7 +290,7 @@ def test_a_fault_is_not_reset(bench: Bench) -> None:
     bench.turn()
     bench.converter.fail("fault", 3)
     bench.clock.wait(0.3)
-    assert bench.drive.dropped_out == states.FAULT
+    assert bench.drive.dropped_out == registers.FAULT
     assert bench.drive.why() == "; fault 3, see its manual"
     assert bench.rpm > 150
     assert math.isnan(bench.drive.actual_rpm)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
-from rig_drivers.modbus_converter import states, wire
+from rig_drivers.modbus_converter import registers, wire
 from rig_drivers.modbus_converter.registers import TABLES
 from rig_drivers.modbus_converter.settings import ModbusConverter
 from tests.rig_drivers.modbus_converter.line import crc, frame, settings
@@ -123,18 +123,26 @@ def test_every_exception_has_words() -> None:
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("generic", {0x10: states.READY, 0x11: states.RUNNING, 0x08: states.FAULT, 0: states.NOT_READY}),
-        ("invt", {1: states.RUNNING, 2: states.RUNNING, 3: states.READY, 4: states.FAULT, 5: states.NOT_READY}),
-        ("m-max", {1: states.READY, 3: states.RUNNING, 0x0B: states.FAULT, 0: states.NOT_READY}),
+        ("generic", {0x10: registers.READY, 0x11: registers.RUNNING, 0x08: registers.FAULT, 0: registers.NOT_READY}),
+        (
+            "invt",
+            {
+                1: registers.RUNNING,
+                2: registers.RUNNING,
+                3: registers.READY,
+                4: registers.FAULT,
+                5: registers.NOT_READY,
+            },
+        ),
+        ("m-max", {1: registers.READY, 3: registers.RUNNING, 0x0B: registers.FAULT, 0: registers.NOT_READY}),
         (
             "altivar",
-            {0x0231: states.READY, 0x0637: states.RUNNING, 0x0218: states.FAULT, 0x0250: states.NOT_READY},
+            {0x0231: registers.READY, 0x0637: registers.RUNNING, 0x0218: registers.FAULT, 0x0250: registers.NOT_READY},
         ),
     ],
 )
 def test_states_of_each_table(table: str, words: dict[int, str]) -> None:
-    registers = settings(table=table).registers
-    assert {word: states.state(registers, word) for word in words} == words
+    assert {word: settings(table=table).registers.state(word) for word in words} == words
 
 
 def test_a_rig_file_replaces_single_entries_of_a_table() -> None:

@@ -13,7 +13,7 @@ from daq.drivers.can_lines import Adapter
 from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import Node, SdoServer
 from daq.drivers.canopen.objects import NodeObjects
-from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.far_end import drive_objects
 from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, decode
 from daq.transports.slcan import AdapterText

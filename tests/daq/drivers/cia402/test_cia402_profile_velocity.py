@@ -14,8 +14,8 @@ from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.driver import DRIVER
 from daq.drivers.cia402.far_end import SimulatedDrive
-from daq.drivers.cia402.profile import VELOCITY, profile_of
 from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.cia402.wire import VELOCITY, profile_of
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch
 from daq.transports.can_frames import CanFrame, encode

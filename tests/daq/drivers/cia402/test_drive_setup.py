@@ -14,9 +14,9 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.drive_objects import drive_objects
-from daq.drivers.cia402.profile import profile_of
+from daq.drivers.cia402.far_end import drive_objects
 from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.cia402.wire import profile_of
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock
 from daq.transports.can_frames import CanFrame, FrameDecoder

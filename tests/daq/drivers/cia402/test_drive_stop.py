@@ -12,7 +12,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_START, SdoServer
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.far_end import drive_objects
 from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock
@@ -141,8 +141,8 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.run_down._MAX_CONSTANT_S", 0.3)
-    monkeypatch.setattr("daq.drivers.run_down.REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.ramp._MAX_CONSTANT_S", 0.3)
+    monkeypatch.setattr("daq.drivers.ramp.REPEAT_S", 0.02)
     monkeypatch.setattr(DriveControl, "enable_s", 1.0)
 
 

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
-from daq.drivers.optoncdt.played import PlayedLaser
+from daq.drivers.optoncdt.far_end import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
-from daq.drivers.optoncdt.far_end import SimulatedLaser
-from daq.drivers.optoncdt.played import PlayedLaser
+from daq.drivers.optoncdt.far_end import PlayedLaser, SimulatedLaser
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError, LogError

@@ -115,7 +115,7 @@ class SlowLaser(HandMadeLaser):
 
 def test_an_answer_to_an_earlier_command_is_not_taken_for_that_to_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The answers to the commands that stop its stream arrive after the next commands have been sent."""
-    monkeypatch.setattr("daq.drivers.stream_stop._QUIET_S", 0.001)
+    monkeypatch.setattr("daq.drivers.questions._QUIET_S", 0.001)
     identity = SlowLaser().set_up()
     assert (identity["serial"], identity["words"]) == ("12345678", WORDS)
     assert "warning" not in identity

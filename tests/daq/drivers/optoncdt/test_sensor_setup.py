@@ -125,7 +125,7 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
 
 
 def test_the_error_for_a_sensor_that_does_not_stop_contains_what_to_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.stream_stop._TRY_S", 0.3)
+    monkeypatch.setattr("daq.drivers.questions._TRY_S", 0.3)
     with line_to(LeftStreaming(deaf=True)) as (line, _, samples):
         wait_for(lambda: sum(samples) > 100)
         with pytest.raises(
