@@ -11,11 +11,12 @@ import threading
 from abc import abstractmethod
 from collections.abc import Callable, Generator
 from contextlib import closing
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 from typing_extensions import override
 
 from daq.drivers.contract import RotorGuard, SpeedControl, TimeOut
+from daq.drivers.motors import MotorSettings
 from daq.drivers.ramp import REPEAT_S, wait_for_rest
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock, Repeated
@@ -33,25 +34,6 @@ _LOOK_S = 0.005  # s between two looks at the reports
 _CONFIRM_S = 4 * REPEAT_S  # s to wait for a confirmation, so that some lost frames do not matter
 _MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
 _REPORT_DELAY_S = 0.05  # s, longest time of a report from the device to this process
-
-
-class CommandSettings(Protocol):
-    """Settings of a device that its command uses.
-
-    Attributes:
-        ramp_rpm_per_s: rate of the ramp, rpm/s.
-        rest_rpm: largest reading of a standing rotor, rpm.
-    """
-
-    @property
-    def ramp_rpm_per_s(self) -> float:
-        """See above."""
-        ...
-
-    @property
-    def rest_rpm(self) -> float:
-        """See above."""
-        ...
 
 
 class HostCommand(SpeedControl):
@@ -73,7 +55,7 @@ class HostCommand(SpeedControl):
     enable_s: ClassVar[float] = 3.0
 
     def __init__(
-        self, settings: CommandSettings, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard | None
+        self, settings: MotorSettings, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard | None
     ) -> None:
         self._send, self._clock = send, clock
         self._guarded = guard or RotorGuard(

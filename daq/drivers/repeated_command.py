@@ -12,12 +12,12 @@ import threading
 from abc import abstractmethod
 from collections.abc import Callable
 from enum import Enum
-from typing import Protocol
 
 from typing_extensions import override
 
 from daq.drivers.contract import RotorGuard
-from daq.drivers.host_command import UNCONFIRMED, CommandSettings, HostCommand, Steps
+from daq.drivers.host_command import UNCONFIRMED, HostCommand, Steps
+from daq.drivers.motors import RepeatedSettings
 from daq.drivers.ramp import SetpointRamp
 from daq.transports.host_clock import HostClock
 
@@ -34,19 +34,6 @@ class Mode(Enum):
     SPEED = "the ramp's set-point"
     BRAKE = "brake"
     FREE = "release"
-
-
-class RepeatedSettings(CommandSettings, Protocol):
-    """Settings of a controller that this command uses.
-
-    Attributes:
-        command_ms: period of the command, ms.
-    """
-
-    @property
-    def command_ms(self) -> int:
-        """See above."""
-        ...
 
 
 class RepeatedCommand(HostCommand):

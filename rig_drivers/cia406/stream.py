@@ -1,8 +1,8 @@
 """Pipeline of CANopen encoders: frames to pendulum angles, index marks and events.
 
 With SYNC the time of a sample is that of the host's write of the SYNC, plus `sync_delay_s`; both angles are of the same
-instant. Without SYNC see `synchronous.OwnTimer`. The reports have no checksum beyond that of the CAN bus: text that is damaged
-between adapter and host is detected by its form, by its length, and by positions beyond the encoder's range.
+instant. Without SYNC see `synchronous.OwnTimer`. The reports have no checksum beyond that of the CAN bus: text that is
+damaged between adapter and host is detected by its form, by its length, and by positions beyond the encoder's range.
 
 Checks of the encoders in addition to those of every device: their faults, and what losses mean on their bus.
 """

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.channels import DEVICE_TICK_S, displacement_channel
+from daq.channels import displacement_channel
 from daq.clock import ClockMap, ClockSeed
+from daq.drivers.displacement import displacement_batch
 from daq.items import Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
@@ -64,7 +65,6 @@ class SilenceWatch:
         return [DeviceEvent(self._kind, self._device, text, {"silence_s": seconds})]
 
 
-_TICK_NS = round(DEVICE_TICK_S * 1e9)
 _MOST_BITS = 62
 """Bits of a counter or timestamp that are used, so that continuous numbers have 64."""
 
@@ -211,14 +211,12 @@ class LaserStream:
         data = frames.data
         time_ns = self._host_times(len(data), host_ns) if own_ns is None else self._clock.map(own_ns, host_ns)
         own_ns = time_ns if own_ns is None else own_ns
-        sequence = (frames.numbers % 2**32).astype(np.uint32)
-        ticks = (own_ns // _TICK_NS).astype(np.uint64)
+        numbers = frames.numbers % 2**32
         out: Items = []
         for laser in self._lasers:
-            columns, invalid = laser.columns(data)
-            self._losses["invalid"] += invalid
-            more = {"counter": sequence, "device_ticks": ticks, "flags": np.zeros(len(data), np.uint32)}
-            out.append(Batch(laser.channel, time_ns, sequence, columns | more))
+            displacement, code = laser.measured(data)
+            self._losses["invalid"] += int(np.count_nonzero(np.isnan(displacement)))
+            out.append(displacement_batch(laser.channel, time_ns, numbers, own_ns, displacement, code))
         return out
 
     def _host_times(self, count: int, host_ns: int) -> NDArray[np.int64]:
@@ -272,16 +270,14 @@ class _Laser:
         self._middle, self._lever, self._half_m = table.middle, table.lever_ratio, 0.5 * table.range_m
         self._invalid = np.array(settings.invalid_raw(table.invalid, signal), np.int64)
 
-    def columns(self, data: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], int]:
-        """Return displacement, m, and raw number of each frame, and the number of samples without a reading."""
+    def measured(self, data: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return displacement, m, and raw number of each frame; NaN without a reading."""
         raw = self.signal.raw(data)
         from_middle = (self.signal.values(data) - self._middle) * self._sensor_m
         reading = np.abs(from_middle) <= self._half_m  # False for NaN
         if len(self._invalid):
             reading &= ~np.isin(raw, self._invalid)
-        displacement = np.where(reading, from_middle, np.nan) / self._lever
-        code = (raw & 0xFFFFFFFF).astype(np.uint32)
-        return {"displacement_m": displacement, "code": code}, int(np.count_nonzero(~reading))
+        return np.where(reading, from_middle, np.nan) / self._lever, raw & 0xFFFFFFFF
 
 
 class QuantityStream:

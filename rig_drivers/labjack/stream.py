@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap
 from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.displacement import displacement_batch
 from daq.drivers.index_marks import MarkSequence
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.due_line import DueLine
@@ -27,7 +28,6 @@ from rig_drivers.labjack.marks import IndexMarks
 from rig_drivers.labjack.scans import Counts, CutAnswer, ScanCutter, VoltScale, have_no_value, nominal
 from rig_drivers.labjack.settings import LabJack, other_channel
 
-_TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _FILLING_BYTES, _EMPTY_BYTES = wire.BUFFER_BYTES // 2, wire.BUFFER_BYTES // 8
 _MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _MOST_REFUSED = 3  # reads refused in a row, after which the stream is not read any more
@@ -328,14 +328,9 @@ class LabJackPipeline(Pipeline):
             share = (values - laser.near_V) / (laser.far_V - laser.near_V) - 0.5
             share[(np.abs(share) > _MOST_SHARE) | over[laser.input]] = np.nan
             self.losses["invalid"] += int(np.count_nonzero(np.isnan(share)))
-            columns: dict[str, NDArray[Any]] = {
-                "displacement_m": share * laser.range_m / laser.lever_ratio,
-                "code": scans[:, column[laser.input]].astype(np.uint32),
-                "counter": sequence,
-                "device_ticks": (device_ns // _TICK_NS).astype(np.uint64),
-                "flags": np.zeros(len(scans), np.uint32),
-            }
-            out.append(Batch(channel, time_ns, sequence, columns))
+            displacement = share * laser.range_m / laser.lever_ratio
+            code = scans[:, column[laser.input]]
+            out.append(displacement_batch(channel, time_ns, number, device_ns, displacement, code))
         for other, channel in self._others:
             value = (volts[other.input] - other.zero_V) * other.per_V
             value[over[other.input]] = np.nan

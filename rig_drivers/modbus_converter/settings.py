@@ -7,18 +7,15 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, model_validator
 
-from rig_configs.device import DeviceSettings
-from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
+from daq.drivers.motors import LINE_SHARE, MotorSettings, check_load
 from rig_configs.table import Positive
 from rig_drivers.modbus_converter.registers import TABLES, Registers, Unit, completed
 
 _LONGEST_BLOCK = 16  # registers that some converters return at most
 _EXCHANGE_BYTES = 8 + 5 + 7  # a read and its answer without the registers, with 3.5 characters of silence each
-_MAX_LINE_SHARE = 0.8
-_MAX_REPORT_S = 0.1  # longest time between two reports, so that one may be lost
 
 
-class ModbusConverter(DeviceSettings):
+class ModbusConverter(MotorSettings):
     """A frequency converter with an induction or synchronous motor, by Modbus RTU.
 
     Attributes:
@@ -30,13 +27,11 @@ class ModbusConverter(DeviceSettings):
         gear: turns of the motor per turn of the rotor.
         max_Hz: highest output frequency set in the converter, Hz: the end of its ramps, and 100 % of a reference.
         slip: share by which the rotor is slower than the field at its usual load. The converter reports the field.
-        ramp_rpm_per_s: rate of the rotor's ramp, rpm/s.
         quick_rpm_per_s: rate of a quick stop without a command of its own, rpm/s. A steeper one than the motor and its
             brake resistor sustain causes an over-voltage fault, and then the rotor runs down without torque.
         watchdog_s: time without a request after which the converter stops by itself, s.
         answer_s: longest time from a request to its answer, s.
         report_Hz: rate at which state and speed are read, Hz.
-        rest_rpm: largest reading of a standing rotor, rpm.
     """
 
     table: Literal["generic", "invt", "m-max", "altivar"] = "generic"
@@ -49,12 +44,10 @@ class ModbusConverter(DeviceSettings):
     gear: Positive = 1.0
     max_Hz: Annotated[float, Field(gt=0, le=1000)] = 50.0
     slip: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     quick_rpm_per_s: Annotated[float, Field(gt=0, le=10_000)] = 1000.0
     watchdog_s: Annotated[float, Field(ge=0.2, le=5.0)] = 1.0
     answer_s: Annotated[float, Field(ge=0.02, le=0.15)] = 0.1
     report_Hz: Annotated[float, Field(ge=10, le=50)] = 20.0
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
 
     @model_validator(mode="before")
     @classmethod
@@ -74,16 +67,9 @@ class ModbusConverter(DeviceSettings):
             raise ValueError("watchdog_s must be above 2 answer_s + 1/report_Hz, or one lost answer stops the rig")
         bits = 9 + (self.parity != "N") + self.stop_bits
         needed = sum(_EXCHANGE_BYTES + 2 * count for _, count in self.blocks) * bits * self.report_Hz
-        if needed > _MAX_LINE_SHARE * self.baud:
-            raise ValueError(
-                f"report_Hz = {self.report_Hz:g} needs {needed:.0f} of the line's {self.baud} bit/s, more than "
-                f"{_MAX_LINE_SHARE:.0%}: reduce report_Hz, or raise baud here and in the converter"
-            )
+        remedy = "reduce report_Hz, or raise baud here and in the converter"
+        check_load(f"report_Hz = {self.report_Hz:g} needs", needed, "line", self.baud, LINE_SHARE, remedy)
         return self
-
-    def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
-        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @property
     def blocks(self) -> tuple[tuple[int, int], ...]:

@@ -12,12 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from daq import channels
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl
 from daq.drivers.fault_checks import controller_checks
+from daq.drivers.motors import MotorPipeline
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 from rig_drivers.modbus_converter import registers, wire
@@ -47,7 +45,7 @@ class Report:
     rpm: float
 
 
-class ConverterPipeline(Pipeline):
+class ConverterPipeline(MotorPipeline):
     """Decoder of one converter's line.
 
     Attributes:
@@ -73,7 +71,6 @@ class ConverterPipeline(Pipeline):
         self._missing = 0  # requests without an intact answer since the last one
         self._words: dict[int, int] = {}  # registers of the present report
         self._control, self._reference = settings.registers.stop, 0
-        self._newest: Report | None = None
         self._rotor = RotorSpeed(settings)
         self._watchdog: int | None = None  # communication timeout that the host has set; None if it was before the log
         self._stopping = False  # whether the last command in the log is a stop
@@ -218,15 +215,10 @@ class ConverterPipeline(Pipeline):
         rpm = self._rotor.reported(now, rpm, host_ns, stopping=self._stopping)
         report = Report(status, now, fault, rpm)
         words.clear()
-        out = self._changes(report)
         self.reports.append(report)
-        columns = {
-            "speed_rpm": np.array([report.rpm]),
-            "target_rpm": np.array([self._target_rpm]),
-            "statusword": np.array([status | fault << 16], np.uint32),  # bits 0–15 status word, 16–31 present fault
-        }
-        batch = Batch(channels.MOTOR, np.array([host_ns], np.int64), np.zeros(1, np.uint32), columns)
-        return [*out, batch]
+        changes = self.state_events(now, statusword=status) + self.fault_events(fault, registers.fault_text(fault))
+        word = status | fault << 16  # in the log: bits 0–15 status word, bits 16–31 code of the present fault
+        return [*changes, *self.samples([(rpm, self._target_rpm, word)], host_ns)]
 
     @property
     def _target_rpm(self) -> float:
@@ -236,16 +228,6 @@ class ConverterPipeline(Pipeline):
             signed = (self._reference ^ 0x8000) - 0x8000 if r.reference_signed else self._reference
             return self._settings.reference_rpm * signed
         return -self._settings.reference_rpm * self._reference if self._control == r.run_reverse else 0.0
-
-    def _changes(self, report: Report) -> Items:
-        before, self._newest = self._newest, report
-        status, fault = report.status, report.fault
-        out: Items = []
-        if before is None or before.state != report.state:
-            out.append(DeviceEvent("drive", self._device, report.state, {"statusword": status}))
-        if fault != (0 if before is None else before.fault):
-            out.append(DeviceEvent("emergency", self._device, registers.fault_text(fault), {"error_code": fault}))
-        return out
 
 
 def converter_checks(

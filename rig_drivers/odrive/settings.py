@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
+from typing_extensions import override
 
-from rig_configs.device import DeviceSettings
-from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
-from rig_configs.table import Positive
+from daq.drivers.motors import BUS_SHARE, RepeatedSettings, check_load
 
-_MIN_COMMANDS_IN_WATCHDOG = 4
 _FRAME_BITS = 135  # a frame of 8 data bytes with an identifier of 11 bits and every stuffed bit
-_MAX_BUS_SHARE = 0.5
 
 
-class Odrive(DeviceSettings):
+class Odrive(RepeatedSettings):
     """One axis of an ODrive on a CAN bus behind an slcan adapter.
 
     The values stored in the controller cannot be queried on the bus of every firmware. Those that a wrong default would
@@ -30,12 +27,8 @@ class Odrive(DeviceSettings):
         watchdog_s: timeout of the controller's watchdog, s. Without it the controller continues without its host.
         proves_watchdog: whether the rotor is only driven after the watchdog of the idle controller has expired once;
             None: with firmware 0.5, whose watchdog is checked in every state (not verified for 0.6).
-        command_ms: period at which the host repeats its command, ms.
         heartbeat_ms, estimates_ms: periods of the controller's heartbeat and of its encoder estimates, ms, as set in
             the controller.
-        ramp_rpm_per_s: rate of the rotor's ramp, rpm/s. The host makes the ramp.
-        rest_rpm: largest reading of a standing rotor, rpm.
-        follow_s: time for which the speed may differ from the set-point before the rotor counts as not following, s.
     """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
@@ -45,16 +38,12 @@ class Odrive(DeviceSettings):
     gear_ratio: Annotated[float, Field(ge=-100, le=100)] = 1.0
     watchdog_s: Annotated[float, Field(ge=0.1, le=2.0)]
     proves_watchdog: bool | None = None
-    command_ms: Annotated[int, Field(ge=5, le=200)] = 20
     heartbeat_ms: Annotated[int, Field(ge=5, le=200)] = 100
     estimates_ms: Annotated[int, Field(ge=1, le=100)] = 10
-    ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
-    follow_s: Positive = 3.0
 
-    def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
-        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
+    @override
+    def own_timeout(self) -> tuple[str, float]:
+        return "watchdog_s", self.watchdog_s
 
     @field_validator("gear_ratio", mode="after")
     @classmethod
@@ -70,22 +59,10 @@ class Odrive(DeviceSettings):
         return self
 
     @model_validator(mode="after")
-    def _commands_before_timeout(self) -> Odrive:
-        if self.watchdog_s * 1e3 < _MIN_COMMANDS_IN_WATCHDOG * self.command_ms:
-            raise ValueError(
-                f"watchdog_s must be at least {_MIN_COMMANDS_IN_WATCHDOG} × command_ms, or a late command stops the "
-                f"rig: got {self.watchdog_s:g} s and {self.command_ms} ms"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _bus_carries_reports(self) -> Odrive:
         needed = _FRAME_BITS * 1e3 * (1 / self.command_ms + 1 / self.heartbeat_ms + 1 / self.estimates_ms)
-        if needed > _MAX_BUS_SHARE * self.bitrate:
-            raise ValueError(
-                f"commands and reports need {needed:.0f} of the bus's {self.bitrate} bit/s, more than "
-                f"{_MAX_BUS_SHARE:.0%}: raise estimates_ms, command_ms or bitrate"
-            )
+        remedy = "raise estimates_ms, command_ms or bitrate"
+        check_load("commands and reports need", needed, "bus", self.bitrate, BUS_SHARE, remedy)
         return self
 
     @property

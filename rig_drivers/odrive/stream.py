@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from daq import channels
 from daq.drivers.can_lines import CanLines, OtherHost
-from daq.drivers.contract import Pipeline
 from daq.drivers.following import Following
+from daq.drivers.motors import MotorPipeline
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, opens_bus
 from rig_basics.texts import number_of
@@ -38,7 +35,7 @@ def state(beat: wire.Heartbeat, firmware: str) -> str:
     return wire.STATES.get(beat.state, f"STATE {beat.state}")
 
 
-class OdrivePipeline(Pipeline):
+class OdrivePipeline(MotorPipeline):
     """Decoder of frames to speed, state and errors. Samples get the host's time: a controller has no clock.
 
     The set-point is in the frames that the host sends, or, in a session that only receives, among the received frames.
@@ -86,9 +83,7 @@ class OdrivePipeline(Pipeline):
             node, command = wire.split(frame.arbitration_id)
             if not (frame.extended or frame.remote) and node == self._settings.node_id:
                 out += self._frame(command, frame, host_ns, rows)
-        if rows:
-            out.append(_batch(rows, host_ns))
-        return out
+        return out + self.samples(rows, host_ns)
 
     def _frame(
         self, command: int, frame: CanFrame, host_ns: int, rows: list[tuple[float, float, int]]
@@ -139,10 +134,7 @@ class OdrivePipeline(Pipeline):
         self.beats.append(beat)
         if before is not None and self._starts(beat) and not self._starts(before):
             out += self._restart("the controller started again: its axis has no state yet")
-        firmware = self._settings.firmware
-        name = state(beat, firmware)
-        if before is None or name != state(before, firmware):
-            out.append(DeviceEvent("drive", self._device, name, {"axis_state": beat.state}))
+        out += self.state_events(state(beat, self._settings.firmware), axis_state=beat.state)
         return out + self._emergency(beat, before)
 
     def _starts(self, beat: wire.Heartbeat) -> bool:
@@ -215,15 +207,3 @@ class OdrivePipeline(Pipeline):
         if not self._other_host.replaced:
             self._take_command(frame)
         return self._other_host.received(frame, host_ns)
-
-
-def _batch(rows: list[tuple[float, float, int]], host_ns: int) -> Batch:
-    """Return the samples of one read: speed, set-point and statusword."""
-    speed, target, words = zip(*rows, strict=True)
-    columns = {
-        "speed_rpm": np.array(speed, float),
-        "target_rpm": np.array(target, float),
-        "statusword": np.array(words, np.uint32),
-    }
-    n = len(rows)
-    return Batch(channels.MOTOR, np.full(n, host_ns, np.int64), np.zeros(n, np.uint32), columns)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.displacement import displacement_batch
 from daq.drivers.identification import FoundDevice
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
@@ -27,7 +28,6 @@ from rig_drivers.optoncdt_ethernet import distances, wire
 from rig_drivers.optoncdt_ethernet.frame_numbers import FrameNumbers
 from rig_drivers.optoncdt_ethernet.settings import EthernetLaser
 
-_TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _OTHER_RATE = 0.1
 """Deviation of a rate that was changed: the rates of the sensor differ by a factor of 1.5 or more."""
 _SETTLES_NS = 1_000_000_000  # after its begin, the due line has the sensor's rate
@@ -243,15 +243,8 @@ class EthernetPipeline(Pipeline):
         range_m = self._settings.range_m
         distance = distances.metres(code, range_m, self._settings.scaling)
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(distance)))
-        counter = number.astype(np.uint32)  # wraps
-        columns: dict[str, NDArray[Any]] = {
-            "displacement_m": (distance - 0.5 * range_m) / self._settings.lever_ratio,
-            "code": code,
-            "counter": counter,
-            "device_ticks": (device_ns // _TICK_NS).astype(np.uint64),
-            "flags": np.zeros(len(code), np.uint32),
-        }
-        return Batch(self._channel, time_ns, counter, columns)
+        displacement = (distance - 0.5 * range_m) / self._settings.lever_ratio
+        return displacement_batch(self._channel, time_ns, number, device_ns, displacement, code)
 
 
 def _hex(flags: tuple[int, int]) -> str:

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import channels
 from daq.drivers.contract import Pipeline
+from daq.drivers.displacement import displacement_batch
 from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
@@ -32,7 +32,6 @@ CODES = {"": 0, "over": 1, "under": 2, "nothing": 3, "error": 4}
 """Code of a sample by the state of its answer."""
 BEYOND_CODE = 5
 """Code of a sample with a value beyond the range of the rig file."""
-_TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
 
@@ -201,12 +200,5 @@ class PolledPipeline(Pipeline):
             self.losses["invalid"] += 1
         self._lost, self._last_ns = 0, time_ns
         number, self._counter = self._counter % COUNTER_WRAP, self._counter + 1
-        counter = np.array([number], np.uint32)
-        columns: dict[str, NDArray[Any]] = {
-            "displacement_m": np.array([away]),
-            "code": np.array([code], np.uint32),
-            "counter": counter,
-            "device_ticks": np.array([time_ns // _TICK_NS], np.uint64),
-            "flags": np.zeros(1, np.uint32),
-        }
-        return Batch(self._channel, np.array([time_ns], np.int64), counter, columns)
+        at_ns = np.array([time_ns], np.int64)
+        return displacement_batch(self._channel, at_ns, np.array([number]), at_ns, np.array([away]), np.array([code]))

@@ -31,7 +31,8 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap
 from daq.drivers.contract import Pipeline, PipelineStatus
-from daq.drivers.displacement import range_of
+from daq.drivers.displacement import displacement_batch, range_of
+from daq.drivers.plain import TICK_NS
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.riftek import wire
@@ -39,8 +40,6 @@ from rig_drivers.riftek.arrivals import Arrivals, ResultRate
 from rig_drivers.riftek.decoder import DecodedResults, ResultDecoder
 from rig_drivers.riftek.settings import RiftekLaser
 
-TICK_NS = 10_000
-"""Unit of `device_ticks`."""
 NOT_NEW = 0x2
 """Bit of `flags`: the sensor sent an older result again."""
 
@@ -244,14 +243,8 @@ class RiftekPipeline(Pipeline):
         self._doubt(flags)
         suspect = np.flatnonzero(flags)
         flags[~rows.updated] |= NOT_NEW
-        columns = {
-            "displacement_m": displacement,
-            "code": rows.code.astype(np.uint32),
-            "counter": counter,
-            "device_ticks": (number * self._period_ns // TICK_NS).astype(np.uint64),
-            "flags": flags,
-        }
-        out.append(Batch(self._channel, time_ns, counter, columns))
+        device_ns = number * self._period_ns
+        out.append(displacement_batch(self._channel, time_ns, number, device_ns, displacement, rows.code, flags))
         if len(suspect):
             out.append(self._suspects(suspect, time_ns))
         return out

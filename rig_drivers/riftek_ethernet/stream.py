@@ -11,11 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.displacement import displacement_batch
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch, chained
 from daq.numbered.stream import NumberedStream
@@ -24,7 +24,6 @@ from rig_drivers.riftek_ethernet import wire
 from rig_drivers.riftek_ethernet.identity import words_for
 from rig_drivers.riftek_ethernet.settings import RiftekEthernetLaser
 
-_TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _LATE_PACKETS = 8
 """Packets by which a network may deliver one late, or twice: it does so within a third of a second."""
 _OTHER_S, _OTHER_PACKETS = 1.0, 4  # silence of the sensor, after which packets of another one are a fault
@@ -138,16 +137,11 @@ class RiftekEthernetPipeline(Pipeline):
         number = self._next + np.arange(wire.RESULTS)
         self._next += wire.RESULTS
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
-        settings, counter = self._settings, number.astype(np.uint32)  # wraps
+        settings = self._settings
         distance = readings(packet.codes, settings.range_m, settings.no_target_codes)
         if settings.valid_status:
             distance[~np.isin(packet.status, settings.valid_status)] = np.nan
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(distance)))
-        columns: dict[str, NDArray[Any]] = {
-            "code": packet.codes.astype(np.uint32),
-            "displacement_m": (distance - 0.5 * settings.range_m) / settings.lever_ratio,
-            "flags": np.zeros(wire.RESULTS, np.uint32),
-            "device_ticks": (device_ns // _TICK_NS).astype(np.uint64),
-            "counter": counter,
-        }
-        return Batch(self._channel, self._clock.map(device_ns, host_ns), counter, columns)
+        displacement = (distance - 0.5 * settings.range_m) / settings.lever_ratio
+        time_ns = self._clock.map(device_ns, host_ns)
+        return displacement_batch(self._channel, time_ns, number, device_ns, displacement, packet.codes)

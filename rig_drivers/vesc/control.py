@@ -12,12 +12,13 @@ from typing_extensions import override
 
 from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.host_command import UNKNOWN
+from daq.drivers.motors import MOST_REST_RPM
 from daq.drivers.repeated_command import RESTARTED, Mode, RepeatedCommand
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 from rig_basics.texts import number_of
 from rig_drivers.vesc import stream, wire
-from rig_drivers.vesc.settings import MOST_REST_RPM, VescMotor
+from rig_drivers.vesc.settings import VescMotor
 from rig_drivers.vesc.stream import VescPipeline
 
 __all__ = ["Mode", "VescControl"]

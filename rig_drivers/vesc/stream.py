@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-import numpy as np
-
-from daq import channels
-from daq.drivers.contract import Pipeline
 from daq.drivers.following import Following, SlowingDown
+from daq.drivers.motors import MotorPipeline
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 from rig_drivers.vesc import packets, wire
@@ -90,7 +87,7 @@ class SerialLine:
         return self._tx.feed(data).payloads
 
 
-class VescPipeline(Pipeline):
+class VescPipeline(MotorPipeline):
     """Decoder of bytes to reports.
 
     A controller has no clock and does not number its answers. Samples get the host's time. A poll that was not answered
@@ -120,7 +117,7 @@ class VescPipeline(Pipeline):
         self._late = 0  # polls counted as a loss whose answers may still arrive
         self._early = 0  # answers that may still arrive to a poll before a release
         self._last: wire.Values | None = None
-        self._word: int | None = None
+        self._word = 0  # statusword of the newest answer
         max_reports = round(settings.follow_s * settings.report_Hz)
         self._following = Following(device, max_reports)
         self._slowing = SlowingDown(device, max_reports)
@@ -138,22 +135,14 @@ class VescPipeline(Pipeline):
             self._last = None  # its smaller counters are the same restart
         rows: list[tuple[int, int]] = []  # electrical speed and statusword, in the order of the bytes
         for place, payload in enumerate((*payloads, b"")):
-            rows += [(erpm, self._word or 0) for before, erpm in self._line.speeds_erpm if before == place]
+            rows += [(erpm, self._word) for before, erpm in self._line.speeds_erpm if before == place]
             if payload[:1] == bytes([wire.GET_VALUES]):
                 out += self._report(payload, rows)
             elif payload[:1] == bytes([wire.FIRMWARE_VERSION]):
                 out.append(self._identity(payload))
         for payload in self._line.others:
             self._sent(payload)
-        if rows:
-            n, (erpms, words) = len(rows), zip(*rows, strict=True)
-            columns = {
-                "speed_rpm": np.array(erpms, float) / self._pole_pairs,
-                "target_rpm": np.full(n, self._target_rpm),
-                "statusword": np.array(words, np.uint32),
-            }
-            out.append(Batch(channels.MOTOR, np.full(n, host_ns, np.int64), np.zeros(n, np.uint32), columns))
-        return out
+        return out + self.samples([(erpm / self._pole_pairs, self._target_rpm, word) for erpm, word in rows], host_ns)
 
     def _sent(self, payload: bytes) -> None:
         """Take a payload of the host: only it contains the set-point. A second poll in a row shows a missing answer."""
@@ -194,7 +183,10 @@ class VescPipeline(Pipeline):
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
         actual_rpm = values.erpm / self._pole_pairs
-        out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
+        out += self.state_events(state(word), statusword=word)
+        text = f"fault {wire.fault_words(values.fault)}" if values.fault else "no fault any more"
+        out += self.fault_events(values.fault, text)
+        out += self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
         out += self._slowing.check(self._command == BRAKE, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
@@ -227,14 +219,3 @@ class VescPipeline(Pipeline):
             return []
         text = "the controller started again: its counters are smaller than before"
         return [DeviceEvent("restart", self._device, text, {"turned": values.turned})]
-
-    def _changes(self, word: int) -> list[DeviceEvent]:
-        """Return the events of a new state, a new fault, and a fault that has ended."""
-        before, out = self._word, list[DeviceEvent]()
-        if before is None or state(word) != state(before):
-            out.append(DeviceEvent("drive", self._device, state(word), {"statusword": word}))
-        fault = word & 0xFF
-        if fault != (0 if before is None else before & 0xFF):
-            text = f"fault {wire.fault_words(fault)}" if fault else "no fault any more"
-            out.append(DeviceEvent("emergency", self._device, text, {"error_code": fault}))
-        return out

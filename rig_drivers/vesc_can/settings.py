@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from daq.drivers.motors import BUS_SHARE, check_load
 from rig_drivers.vesc.settings import VescMotor
 
 _FRAME_BITS = 160  # a frame of 8 data bytes with an identifier of 29 bits and every stuffed bit
 _POLL_FRAMES = 14  # a poll, its answer in pieces, and a ping
-_MAX_BUS_SHARE = 0.5
 
 
 class VescCan(VescMotor):
@@ -37,9 +37,6 @@ class VescCan(VescMotor):
     @model_validator(mode="after")
     def _bus_carries_reports(self) -> VescCan:
         needed = _FRAME_BITS * (_POLL_FRAMES * self.report_Hz + 1e3 / self.command_ms + self.status_Hz)
-        if needed > _MAX_BUS_SHARE * self.bitrate:
-            raise ValueError(
-                f"commands and reports need {needed:.0f} of the bus's {self.bitrate} bit/s, more than "
-                f"{_MAX_BUS_SHARE:.0%}: reduce report_Hz or status_Hz, or raise bitrate"
-            )
+        remedy = "reduce report_Hz or status_Hz, or raise bitrate"
+        check_load("commands and reports need", needed, "bus", self.bitrate, BUS_SHARE, remedy)
         return self

@@ -6,12 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from rig_configs.device import DeviceSettings
-from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
+from daq.drivers.motors import MotorSettings
 from rig_configs.table import Positive
 
 
-class MotorDrive(DeviceSettings):
+class MotorDrive(MotorSettings):
     """The CiA 402 motor drive behind a CAN adapter.
 
     Attributes:
@@ -20,7 +19,6 @@ class MotorDrive(DeviceSettings):
         host_node_id: CANopen node number of the host.
         heartbeat_ms: period of the heartbeats of host and drive, ms.
         heartbeat_timeout_ms: time without the host's heartbeat after which the drive stops, ms.
-        ramp_rpm_per_s: rate of the rotor's ramp, rpm/s.
         mode: mode of operation: "velocity" (vl, 6042h in rpm) or "profile velocity" (pv, 60FFh in a unit of the drive).
         units_per_rpm: of profile velocity mode: number of the drive's units of speed (60FFh, 606Ch) for 1 rpm. A wrong
             number scales every speed.
@@ -28,7 +26,6 @@ class MotorDrive(DeviceSettings):
             that of speeds.
         ramp_bits: whether bits 4 … 6 of the controlword are set during operation (007Fh in place of 000Fh), which some
             drives require.
-        rest_rpm: largest reading of a standing rotor, rpm.
     """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
@@ -36,16 +33,10 @@ class MotorDrive(DeviceSettings):
     host_node_id: Annotated[int, Field(ge=1, le=127)] = 1
     heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
     heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
-    ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
     mode: Literal["velocity", "profile velocity"] = "velocity"
     units_per_rpm: Positive = 1.0
     ramp_units_per_rpm_per_s: Positive | None = None
     ramp_bits: bool = False
-    rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
-
-    def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
-        return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @model_validator(mode="after")
     def _beats_before_timeout(self) -> MotorDrive:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
-from daq import channels
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.wire import profile_of
-from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.contract import PipelineStatus
+from daq.drivers.motors import MotorPipeline
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
@@ -22,7 +20,7 @@ from rig_basics.texts import number_of
 _AGAIN_NS = 1_000_000_000
 
 
-class DrivePipeline(Pipeline):
+class DrivePipeline(MotorPipeline):
     """Decoder of frames to the drive's speed, state and emergencies. A drive has no clock: samples get host time.
 
     The target speed is in the frames that the host sends, or, in a session that only receives, among the received
@@ -44,7 +42,6 @@ class DrivePipeline(Pipeline):
         self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
         self._target_rpm = 0.0
-        self._status: int | None = None
         self._network: cia301.Heartbeat | None = None
         self._contact = FirstContact()
 
@@ -66,13 +63,14 @@ class DrivePipeline(Pipeline):
         frames, events = self._lines.received(data)
         self.frames = cia301.own_frames(frames)
         out: list[Batch | DeviceEvent] = [*self._second_host(host_ns), *events]
-        rows: list[tuple[int, float, float]] = []  # statusword, actual and target speed in rpm
+        rows: list[tuple[float, float, int]] = []  # actual and target speed in rpm, statusword
         report, beat = cia301.cob_tpdo(1, self._node), cia301.cob_heartbeat(self._node)
         for frame in self.frames:
             if frame.arbitration_id == report:  # the most frequent case
                 self._contact.heard()
                 if len(frame.data) >= self._profile.size:
-                    rows.append((*self._profile.unpack(frame.data), self._target_rpm))
+                    word, rpm = self._profile.unpack(frame.data)
+                    rows.append((rpm, self._target_rpm, word))
                 elif not self._complaint:
                     out.append(self._short(frame))
                 continue
@@ -87,9 +85,9 @@ class DrivePipeline(Pipeline):
                 if any(emergency.maker_bytes):
                     facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
                 out.append(DeviceEvent("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
-        if rows:
-            out += self._speed(rows, host_ns)
-        return out
+        for *_, word in rows:
+            out += self.state_events(cia402.state(word), statusword=word)
+        return out + self.samples(rows, host_ns)
 
     def _second_host(self, host_ns: int) -> Iterator[DeviceEvent]:
         """Report each second that another node sends the host's heartbeat, as long as it does."""
@@ -133,21 +131,3 @@ class DrivePipeline(Pipeline):
             return []  # the expected state
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
         return [DeviceEvent("network", self._device, text, {"network_state": int(state), "operational": operational})]
-
-    def _speed(self, rows: list[tuple[int, float, float]], host_ns: int) -> list[Batch | DeviceEvent]:
-        out: list[Batch | DeviceEvent] = []
-        for word, _, _ in rows:
-            if word == self._status:
-                continue
-            if self._status is None or cia402.state(word) != cia402.state(self._status):
-                out.append(DeviceEvent("drive", self._device, cia402.state(word), {"statusword": word}))
-            self._status = word
-        words, actual, target = zip(*rows, strict=True)
-        columns = {
-            "speed_rpm": np.array(actual, float),
-            "target_rpm": np.array(target),
-            "statusword": np.array(words, np.uint32),
-        }
-        time_ns = np.full(len(rows), host_ns, np.int64)
-        out.append(Batch(channels.MOTOR, time_ns, np.zeros(len(rows), np.uint32), columns))
-        return out

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, steps_from
 from daq.drivers.contract import Pipeline, PipelineStatus
-from daq.drivers.displacement import range_of
+from daq.drivers.displacement import displacement_batch, range_of
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.set_up_watch import SetUpWatch
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.true_rows import Rows, SampleTimes, TrueRows
 from daq.drivers.optoncdt.words import WordsTrial
+from daq.drivers.plain import TICK_NS
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
 from daq.items import TX, Batch, DeviceEvent
@@ -32,8 +33,6 @@ _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a
 _MOST_BEFORE_FIRST = 1024  # bytes before the first block that are not counted; a block has at most 96
 
 _MOST_CODES = 32  # different error codes that are counted
-
-_TICK_NS = round(optoncdt.TICK_S * 1e9)
 
 _SHORT_TIMESTAMP = (
     "expected a timestamp of two values in steps of 10 µs; by its manual an ILD2300 sends one value in steps of 256 µs "
@@ -72,7 +71,7 @@ class LaserPipeline(Pipeline):
         self._nominal_ticks = 1.0 / (config.rate_Hz * optoncdt.TICK_S)
         self._joined = False
         self._before_first = 0  # bytes skipped before the first block
-        period_ns = self._nominal_ticks * _TICK_NS
+        period_ns = self._nominal_ticks * TICK_NS
         wraps = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
         count = Count(wraps[0], period_ns, clock_size=wraps[1], clock_step=self._nominal_ticks)
         self._order = NumberedStream[Rows](count, np.concatenate)
@@ -91,7 +90,7 @@ class LaserPipeline(Pipeline):
         return PipelineStatus(
             complaint=complaint,
             set_up_lost=self._set_up.lost,
-            clock_seed=self._clock.seed(optoncdt.TIMESTAMP_WRAP * _TICK_NS),
+            clock_seed=self._clock.seed(optoncdt.TIMESTAMP_WRAP * TICK_NS),
             clock_std_ns=self._clock.std_ns,
         )
 
@@ -242,7 +241,7 @@ class LaserPipeline(Pipeline):
         out.append(DeviceEvent("rate", self._device, text, {"rate_Hz": rate, "nominal_Hz": expected}))
 
     def _samples(self, place: Rows, ticks: Rows, words: Rows, host_ns: int) -> Items:
-        time_ns = self._clock.map(ticks * _TICK_NS, host_ns)
+        time_ns = self._clock.map(ticks * TICK_NS, host_ns)
         out = self._gaps(place, ticks, time_ns)
         self._place = int(place[-1])
         counter = (place % optoncdt.COUNTER_WRAP).astype(np.uint32)
@@ -255,14 +254,8 @@ class LaserPipeline(Pipeline):
             if each in self.error_codes or len(self.error_codes) < _MOST_CODES:  # garbage has any number of them
                 self.error_codes[each] = self.error_codes.get(each, 0) + count
         flags = self._spikes.feed(words, counter)
-        columns = {
-            "displacement_m": displacement,
-            "code": words.astype(np.uint32),
-            "counter": counter,
-            "device_ticks": ticks.astype(np.uint64),
-            "flags": flags,
-        }
-        out.append(Batch(self._channel, time_ns, counter, columns))
+        batch = displacement_batch(self._channel, time_ns, counter, ticks * TICK_NS, displacement, words, flags)
+        out.append(batch)
         if self._spikes.found:
             out.append(self._suspects(flags, time_ns))
         return out
@@ -271,7 +264,7 @@ class LaserPipeline(Pipeline):
         """Return the event about samples that are spikes; its time is that of the first."""
         found = np.flatnonzero(flags)
         self.losses["suspect"] += len(found)
-        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._true.period_ticks) * _TICK_NS
+        first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._true.period_ticks) * TICK_NS
         what = "a sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
         text = f"{what} out of the signal for one sample: marked as suspect"
         return DeviceEvent("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
