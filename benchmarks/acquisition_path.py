@@ -140,7 +140,7 @@ def _motor(data: bytes) -> tuple[dict[str, np.ndarray], bytes]:
         for line in lines
         if line[:1] == b"t"
     ]
-    rows = [cia402.unpack_tpdo1(bytes(message.data)) for message in messages]
+    rows = [cia402.VELOCITY.unpack(bytes(message.data)) for message in messages]
     columns = {
         "speed_rpm": np.array([rpm for _, rpm in rows], float),
         "target_rpm": np.zeros(len(rows)),

@@ -38,7 +38,7 @@ def drive_frames(count: int) -> list[CanFrame]:
     """Status and speed of a drive that holds its speed but for noise."""
     node = load_rig("virtual").devices["drive"].node_id
     speeds = np.rint(600 + 2 * np.random.default_rng(1).standard_normal(count)).astype(int)
-    return [CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
+    return [CanFrame(cia301.cob_tpdo(1, node), cia402.VELOCITY.pack(0x0237, int(rpm))) for rpm in speeds]
 
 
 def raw_reads(frames: list[CanFrame]) -> Reads:

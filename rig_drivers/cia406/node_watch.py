@@ -67,7 +67,6 @@ class NodeWatch:
         faulty: whether it has an error: by its newest emergency, before the first one as it was found at its opening.
         fault: this error for the operator; empty without one.
         restarted: whether it has started again since the opening of the device: its settings are gone.
-        lost_heartbeats: number of times that its heartbeat was lost.
     """
 
     def __init__(
@@ -82,7 +81,6 @@ class NodeWatch:
         self.fault: str = f"of encoder {encoder.name}: since the opening, {found.text}" if found.faulty else ""
         self._found, self._contact = found, contact or FirstContact()
         self.restarted: bool = False
-        self.lost_heartbeats: int = 0
         self._device, self._encoder = device, encoder
         self._patience_ns = round(_PATIENCE * heartbeat_ms * 1e6)
         self._state: cia301.Heartbeat | None = None
@@ -132,7 +130,6 @@ class NodeWatch:
             return
         silent_s = (host_ns - self._beat_ns) * 1e-9
         self._beat_ns = None
-        self.lost_heartbeats += 1
         text = f"{self.name}: no heartbeat for {silent_s:.1f} s. Look at its supply and its line"
         yield self._event("network", text, operational=False)
 

@@ -181,10 +181,10 @@ class CanLine:
         return DeviceEvent("restart", self._device, text, {})
 
     def _status(self, data: bytes, host_ns: int, place: int) -> list[DeviceEvent]:
-        status = wire.parse_status(data)
-        if status is None:
+        erpm = wire.parse_status(data)
+        if erpm is None:
             return self._damage()
-        self.speeds_erpm.append((place, status.erpm))
+        self.speeds_erpm.append((place, erpm))
         return self.status_watch.message(host_ns)
 
     def _other_status(self, number: int) -> list[DeviceEvent]:

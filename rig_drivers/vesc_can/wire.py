@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import dataclass
 
 from daq.transports.can_frames import CanFrame, encode
 from rig_drivers.vesc import wire as vesc
@@ -49,7 +48,6 @@ _QUERIES = frozenset({0, 4, 14, 15, 17, 18, 31, 32, 33, 47, 50, 51, 62, 65})
 _ANSWERED = 1  # second byte of the end of an answer
 _ANSWER = 0  # second byte of a query: answer to the sender on the bus
 _SIMPLE = {SET_CURRENT: vesc.SET_CURRENT, SET_BRAKE: vesc.SET_BRAKE, SET_RPM: vesc.SET_RPM}
-_STATUS = struct.Struct(">ihh")
 _MA = 1000.0  # currents in commands are in mA
 _I32 = 2**31
 
@@ -129,27 +127,9 @@ def is_command(sent: CanFrame) -> bool:
     return command in _MOVES | _CHANGES
 
 
-@dataclass(frozen=True)
-class Status:
-    """Status that a controller sends by itself.
-
-    Attributes:
-        erpm: electrical speed, rpm.
-        motor_A: motor current, A.
-        duty: duty cycle, dimensionless.
-    """
-
-    erpm: int
-    motor_A: float
-    duty: float
-
-
-def parse_status(data: bytes) -> Status | None:
-    """Parse a status; None if it does not have 8 bytes."""
-    if len(data) != _STATUS.size:
-        return None
-    erpm, current, duty = _STATUS.unpack(data)
-    return Status(erpm, current / 10.0, duty / 1000.0)
+def parse_status(data: bytes) -> int | None:
+    """Return the electrical speed, rpm, of a status that a controller sends by itself; None without its 8 bytes."""
+    return int.from_bytes(data[:4], "big", signed=True) if len(data) == 8 else None
 
 
 def pieces(payload: bytes, sender: int, receiver: int) -> list[CanFrame]:

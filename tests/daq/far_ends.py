@@ -92,7 +92,7 @@ class Bench:
         node = self.rig.devices["drive"].node_id
         self.interlocks.commanded(float(rpm))
         for word in (cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION):
-            self._to_drive(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
+            self._to_drive(cia301.cob_rpdo(1, node), cia402.VELOCITY.pack(word, rpm))
         for sub, value in ((0x6048, 400), (0x6049, 400)):
             self.drive._objects[sub, 1] = (value, "<I")
         self.drive._objects[0x6060, 0] = (2, "<b")
@@ -102,7 +102,7 @@ class Bench:
         """Stop the rotor as the session does."""
         self.interlocks.commanded(0.0)
         node = self.rig.devices["drive"].node_id
-        self._to_drive(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
+        self._to_drive(cia301.cob_rpdo(1, node), cia402.VELOCITY.pack(cia402.QUICK_STOP, 0))
 
     def fails(self, device: str, what: str, value: float = 1) -> None:
         """See FarEnd."""

@@ -96,7 +96,8 @@ def reads(
     for step in range(steps):
         host_ns = START_NS + (step + 1) * STEP_NS
         if step % 7 == 3:
-            yield "drive", TX, _frame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, 10 * step % 1000)), host_ns - 200_000
+            command = cia402.VELOCITY.pack(15, 10 * step % 1000)
+            yield "drive", TX, _frame(cia301.cob_rpdo(1, 5), command), host_ns - 200_000
             yield "drive", TX, _frame(cia301.cob_heartbeat(1), b"\x05"), host_ns - 150_000
             yield (
                 "encoder",
@@ -105,7 +106,7 @@ def reads(
                 host_ns,
             )
         rpm = 60 + step % 1000 if rests_from is None else max(0, 1059 * (rests_from - step) // rests_from)
-        status = _frame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237 if step < steps // 2 else 0x0240, rpm))
+        status = _frame(cia301.cob_tpdo(1, 5), cia402.VELOCITY.pack(0x0237 if step < steps // 2 else 0x0240, rpm))
         came = {
             "laser_x": _laser(rng, step, set(), restarts_at),
             "laser_y": _laser(rng, step, set(lost), None),

@@ -40,7 +40,7 @@ def device_bytes(
         for pendulum in reported if step == opened_at else ():
             event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
             events, seq = events + rotorlink.wire(event.pack()), seq + 1
-        frame = CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
+        frame = CanFrame(cia301.cob_tpdo(1, 5), cia402.VELOCITY.pack(0x0237, 60 + step))
         reads += [
             ("laser_x", optoncdt.encode_block(words)),
             ("laser_y", optoncdt.encode_block(words)),

@@ -37,61 +37,6 @@ def fed(pipeline: EncoderPipeline, *parts: tuple[int, int, bytes]) -> Items:
 # --- settings in ns --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("delay_s", "delay_ns"), [(0.04999999948, 49_999_999), (0.04999999952, 50_000_000)])
-def test_a_delay_is_rounded_to_whole_nanoseconds(delay_s: float, delay_ns: int) -> None:
-    line = Line(sync_delay_s=delay_s)
-    line.all_answer()
-    assert times(line.items) == [delay_ns]
-
-
-@pytest.mark.parametrize(("rate_Hz", "period_ns"), [(14, 71_428_571), (54, 18_518_519), (100, 10_000_000)])
-def test_the_span_of_missing_samples_is_whole_periods(rate_Hz: int, period_ns: int) -> None:
-    pipeline = EncoderPipeline("encoders", settings(rate_Hz=rate_Hz), identity())
-    items = fed(pipeline, *((k * period_ns, TX, SYNC) for k in range(4)), (3 * period_ns + MS, RX, b"".join(ALL)))
-    items += fed(pipeline, (3 * period_ns + MS, RX, b""))
-    (gap,) = [item for item in items if isinstance(item, DeviceEvent) and "samples" in item.facts]
-    assert gap.facts == {
-        "samples": 3,
-        "span_s": pytest.approx(3 * period_ns * 1e-9, rel=1e-12),
-        "time_ns": times(items)[0],
-    }
-    assert gap.text == "3 samples lost"
-
-
-@pytest.mark.parametrize(
-    ("lateness_s", "late_ns", "waits"),
-    [
-        (0.003, 3_000_000, False),
-        (0.003, 3_000_001, True),
-        (0.003000000498, 3_000_001, True),
-        (0.003000000502, 3_000_001, False),
-    ],
-)
-def test_a_first_report_is_late_beyond_the_limit_to_the_nanosecond(
-    lateness_s: float, late_ns: int, waits: bool
-) -> None:
-    """Both angles then wait for the report of the shaft."""
-    pipeline = EncoderPipeline("encoders", settings(max_lateness_s=lateness_s), identity())
-    for k in range(3):
-        fed(pipeline, (k * PERIOD_NS, TX, SYNC), (k * PERIOD_NS + MS, RX, b"".join(ALL)))
-    items = fed(pipeline, (3 * PERIOD_NS, TX, SYNC), (3 * PERIOD_NS + MS + late_ns, RX, ALL[0] + ALL[1]))
-    assert topics(items) == ([] if waits else ["pendulums"])
-    items = fed(pipeline, (3 * PERIOD_NS + 6 * MS, RX, ALL[2]))
-    assert topics(items) == (["pendulums"] if waits else [])
-
-
-@pytest.mark.parametrize(("limit_s", "late"), [(0.003000000001, 0), (0.002999999999, 1)])
-@pytest.mark.parametrize("counts", [120, -120])
-def test_a_shaft_that_turned_by_more_than_the_limit_shows_a_late_sync(limit_s: float, late: int, counts: int) -> None:
-    """120 counts are 3 ms; the reports come 5 ms later than usual."""
-    line = Line(max_lateness_s=limit_s)
-    for number in range(12):
-        line.period(*ALL[:2], report(5, 400 * number % 4096))
-    line.period(*ALL[:2], report(5, (4800 + counts) % 4096), after_ms=6.0)
-    assert line.losses == ({"late": 1, "samples": 1} if late else {})
-    assert len(line.batches()) == 13 - late
-
-
 def test_without_an_encoder_of_the_shaft_angles_do_not_wait() -> None:
     line = Line(shaft_node=None)
     for _ in range(3):
@@ -141,22 +86,6 @@ def test_reports_of_a_timer_that_arrive_together_keep_their_distance() -> None:
     assert column(items, "count_a") == [1, 2, 3]
 
 
-def test_node_times_are_whole_microseconds_of_the_instant() -> None:
-    pipeline, items = EncoderPipeline("encoders", settings(), identity()), list[Batch | DeviceEvent]()
-    begin_ns = 1_700_000_000_000_000_999
-    for number in range(150):
-        host_ns = begin_ns + number * PERIOD_NS
-        position = round(4096 * (0.3 * number + 0.1)) % 4096
-        items += fed(
-            pipeline, (host_ns, TX, SYNC), (host_ns + MS, RX, report(3, 1) + report(4, 1) + report(5, position))
-        )
-    for topic in ("pendulums", "tacho"):
-        found = [item for item in items if isinstance(item, Batch) and item.channel.topic == topic]
-        assert column(list(found), "node_time_us") == [int(item.time_ns[0]) // 1000 for item in found]
-        assert any(int(item.time_ns[0]) % 1000 >= 875 for item in found)
-    assert times(items) == [begin_ns + number * PERIOD_NS for number in range(150)]
-
-
 # --- frames that are not the encoders' -------------------------------------------------------------------------
 
 
@@ -191,19 +120,6 @@ def test_without_sync_those_of_the_bus_have_no_effect() -> None:
 # --- events that repeat ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("more_ns", "faults"), [(0, 1), (1, 2)])
-def test_syncs_of_another_node_are_reported_again_after_a_second(more_ns: int, faults: int) -> None:
-    pipeline = EncoderPipeline("encoders", settings(), identity())
-    for k in range(5):
-        fed(pipeline, (k * PERIOD_NS, TX, SYNC), (k * PERIOD_NS + MS, RX, b"".join(ALL)))
-    foreign_ns = 5 * PERIOD_NS
-    items = fed(pipeline, (foreign_ns, RX, SYNC), (foreign_ns + S // 2, RX, SYNC), (foreign_ns + S + more_ns, RX, SYNC))
-    found = [item for item in items if isinstance(item, DeviceEvent) and item.kind == "fault"]
-    assert [event.facts for event in found] == [{"foreign_syncs": 1}, {"foreign_syncs": 3}][:faults]
-    items = fed(pipeline, (foreign_ns + 4 * S, TX, SYNC), (foreign_ns + 4 * S + MS, RX, b"".join(ALL)))
-    assert "fault" not in topics(items), "no other SYNC has come"
-
-
 def test_double_answers_that_another_sync_explains_do_not_make_the_echo_foreign() -> None:
     line = Line()
     for _ in range(14):
@@ -211,56 +127,7 @@ def test_double_answers_that_another_sync_explains_do_not_make_the_echo_foreign(
     assert line.losses == {"foreign_syncs": 14, "unasked": 42}
 
 
-@pytest.mark.parametrize(("more_ms", "reports"), [(0.0, 1), (0.000001, 2)])
-def test_late_syncs_are_reported_again_after_a_second(more_ms: float, reports: int) -> None:
-    line = turning({12: 8.0, 60: 7.0, 112: 8.0 + more_ms})
-    found = [event.facts for event in line.events("gap") if "late" in event.facts]
-    assert found == [{"late": 1}, {"late": 3}][:reports]
-    assert line.losses == {"late": 3, "samples": 3}
-
-
-@pytest.mark.parametrize(("more_ns", "reports"), [(0, 1), (1, 2)])
-def test_periods_without_a_sync_are_reported_again_after_a_second(more_ns: int, reports: int) -> None:
-    pipeline = EncoderPipeline("encoders", settings(), identity())
-    at_ns = [k * PERIOD_NS for k in range(300)]  # for longer than a second all is well
-    at_ns += [4 * S, 4 * S + S // 2, 5 * S + more_ns]
-    items = fed(pipeline, *((host_ns + d * MS, d ^ 1, (SYNC, b"".join(ALL))[d]) for host_ns in at_ns for d in (0, 1)))
-    found = [item.facts for item in items if isinstance(item, DeviceEvent)]
-    counted = [{"unsampled": 99, "span_s": pytest.approx(0.99)}, {"unsampled": 98, "span_s": pytest.approx(0.98)}]
-    assert found == counted[:reports]
-    assert pipeline.losses["unsampled"] == 197
-    rest = fed(pipeline, (6 * S, RX, b""))
-    assert [item.facts for item in rest if isinstance(item, DeviceEvent)] == counted[reports:]
-
-
-def test_a_silent_encoder_and_a_missing_shaft_have_their_facts() -> None:
-    line = Line()
-    for _ in range(40):
-        line.period(ALL[0], ALL[2])
-    (silent,) = line.events("network")
-    assert silent.facts == {"encoder": "b", "operational": False}
-    assert "the adapter" not in silent.text
-    line = Line()
-    line.period(ALL[0], ALL[1])
-    line.period(ALL[2])
-    line.period(*ALL)
-    line.at(0.0, RX, b"")
-    gaps = line.events("gap")
-    assert [event.facts for event in gaps[:1]] == [{"reports": 1}]
-    assert [event.facts["samples"] for event in gaps[1:]] == [1]
-    assert line.losses == {"reports": 3, "samples": 1}
-
-
 # --- reports ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("position", "invalid"), [(4095, 0), (4096, 1), (4097, 1), (2**32 - 1, 1)])
-def test_positions_are_those_below_the_number_of_positions(position: int, invalid: int) -> None:
-    line = Line()
-    line.period(report(3, position), ALL[1], ALL[2])
-    assert line.losses == ({"invalid": 1} if invalid else {})
-    assert column(line.items, "count_a") == ([] if invalid else [-1])
-    assert [event.facts for event in line.events("damage")] == [{"lines": 1}] * invalid
 
 
 def test_heartbeats_are_no_complaint_and_the_first_encoder_that_starts_again_is_named() -> None:

@@ -13,7 +13,6 @@ from rig_drivers.dbc.driver import DRIVER
 from rig_drivers.dbc.example import DBC, SETTINGS
 from rig_drivers.dbc.settings import CanSensors
 from rig_drivers.dbc.stream import CanPipeline
-from tests.daq.can_text import rx
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -102,15 +101,6 @@ def test_the_frames_of_a_displacement_have_the_length_of_its_own_message() -> No
     found = line.feed(RX, laser_x(1, size=2) + laser_x(2), MS)
     assert [kind for kind, *_ in events(found)] == ["damage"]
     assert (counters(found, "laser/x"), line.losses["short_frames"]) == ([2], 1)
-
-
-def test_damaged_lines_are_counted_and_the_others_of_the_read_are_decoded() -> None:
-    line = joined()
-    found = line.feed(RX, rx(b"tq\r") + laser_x(1) + rx(b"t12\r"), MS)
-    assert events(found) == [("damage", "2 damaged lines dropped", {"lines": 2})]
-    assert counters(found, "laser/x") == [1]
-    line.feed(RX, rx(b"tq\r"), 2 * MS)
-    assert line.losses == NO_LOSSES | {"damaged_lines": 3}
 
 
 def test_a_silence_is_reported_by_the_next_frame_from_the_bus() -> None:

@@ -7,7 +7,6 @@ import struct
 import zlib
 from dataclasses import replace
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -149,26 +148,6 @@ def test_impossible_content_is_refused(payload: str, words: str) -> None:
         wire.parse_sweeps(bytes.fromhex(payload), 1)
     with pytest.raises(ValueError, match="2116"):
         wire.parse_sweeps(bytes(4) + bytes.fromhex("0001 70 02 0001") + b"\xff" * 8 + bytes(4), 3)
-
-
-@given(st.sampled_from([1, 3]), st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=5), st.data())
-def test_any_split_gives_the_same_packets(version: wire.Version, payloads: list[bytes], data: st.DataObject) -> None:
-    line = b"".join(packet(0x1A, payload, version=version) for payload in payloads)
-    noise = data.draw(st.binary(max_size=8).filter(lambda b: wire.STARTS[version] not in b))
-    cuts = data.draw(st.lists(st.integers(0, len(line)), max_size=6))
-    search, found, skipped = PacketSearch(version), list[wire.Packet](), 0
-    for begin, end in pairwise([0, *sorted(cuts), len(line)]):
-        part = search.feed(line[begin:end])
-        found, skipped = found + part.packets, skipped + part.skipped_bytes
-    assert [p.payload for p in found] == payloads
-    assert skipped == 0
-    assert search.feed(noise + line).skipped_bytes == len(noise)
-
-
-@given(st.binary(max_size=700), st.sampled_from([1, 3]))
-def test_any_bytes_are_decoded(data: bytes, version: wire.Version) -> None:
-    line = pipeline(aspp=version)
-    assert all(item.kind == "damage" for item in line.feed(RX, data, S) if isinstance(item, DeviceEvent))
 
 
 @given(st.binary(max_size=60), st.sampled_from([1, 3]))

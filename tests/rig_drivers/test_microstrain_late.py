@@ -70,48 +70,6 @@ def test_late_packets_are_put_into_order() -> None:
     assert node.times_off_s < 0.001
 
 
-def test_packets_do_not_wait_for_ever_and_not_for_a_node_that_sends_none_again() -> None:
-    node = radio()
-    for number in range(30):
-        if number not in (1, 8, 15, 22):
-            node.arrive(number)
-    assert node.numbers == [n for n in range(30) if n not in (1, 8, 15, 22)]
-    assert node.line.losses["samples"] == 4 * PER
-    node.arrive(31)
-    assert node.numbers[-1] == 31, "three gaps were not filled: it does not wait"
-    node = radio()
-    node.arrive(0)
-    node.arrive(2)
-    assert node.numbers == [0]
-    node.status(2 + 40)  # nothing else comes: the next answer of the base station ends the wait
-    assert node.numbers == [0, 2]
-
-
-def test_the_end_of_a_log_returns_the_waiting_packets() -> None:
-    node = radio()
-    for number, at in ((0, 0), (2, 2), (2, 2.2), (4, 4)):
-        node.arrive(number, at=at)
-    assert node.numbers == [0]
-    node.items += node.line.feed(RX, b"", UTC_S * S + 5 * PERIOD_NS)
-    assert node.numbers == [0, 2, 4]
-    assert node.line.losses["samples"] == 2 * PER
-
-
-def test_a_packet_that_is_later_than_a_second_is_no_restart() -> None:
-    node = radio()
-    for number in range(60):
-        if number not in (5, 30):
-            node.arrive(number)
-        if number in (30, 59):
-            node.arrive(5 if number == 30 else 30, at=number + 0.5)
-    for number in range(60, 80):
-        node.arrive(number)
-    assert "restart" not in kinds(node.items)
-    assert node.times_off_s < 0.001
-    assert node.line.losses["samples"] == PER
-    assert node.numbers == [n for n in range(80) if n != 5]  # the second late packet is waited for
-
-
 def test_a_clock_of_the_node_that_is_set_back_is_a_restart_and_no_repetition() -> None:
     node = radio()
     for number in range(10):

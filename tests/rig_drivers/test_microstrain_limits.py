@@ -54,27 +54,6 @@ def payload_of(data: bytes) -> bytes:
     return data[9:-6]
 
 
-def test_a_seed_of_the_beacon_s_clock_wraps_after_32_bits_of_seconds() -> None:
-    line = pipeline()
-    assert line.status.clock_seed is None
-    line.feed(RX, sweeps(0, [(1, 1)] * 2), 5 * S)
-    seed = line.status.clock_seed
-    assert seed is not None
-    assert seed.wrap_ns == 4_294_967_296_000_000_000
-    assert (seed.device_ns, seed.host_ns) == (UTC_S * S + 3_906_250, 5 * S)
-
-
-def test_angles_from_a_million_radians_on_are_no_readings_and_counts_end_at_31_bits() -> None:
-    line = pipeline(turns=False, slope_a_rad=1.0, slope_b_rad=-1.0)
-    rows = [(999_999.0, 999_999.0), (1e6, 1e6), (2e6, 5.0), (math.nan, 0.0)]
-    columns = only_batch(line.feed(RX, floats(rows), S)).columns
-    assert columns["theta3_rad"].tolist() == pytest.approx([999_999.0, *[math.nan] * 3], nan_ok=True)
-    assert columns["theta4_rad"].tolist() == pytest.approx([-999_999.0, math.nan, -5.0, 0.0], nan_ok=True)
-    assert columns["flags"].tolist() == [0, 3, 1, 1]
-    assert columns["count_a"].tolist() == [2_147_483_647, 0, 0, 0]
-    assert columns["count_b"].tolist() == [-2_147_483_647, 0, -52_152, 0]
-
-
 def test_further_quantities_are_those_of_their_channels() -> None:
     line = pipeline(quantities={"supply_V": 4, "hub_V": 6, "end_V": 5})
     items = line.feed(RX, floats([(1, 2, 4, 5, 6), (11, 12, 14, 15, 16)], mask=0b111011), S)
@@ -95,40 +74,6 @@ def test_a_packet_as_set_up_ends_a_series_of_contradicting_ones() -> None:
     assert len(thetas(line.feed(RX, sweeps(1, [(1, 1)]), S))) == 1
     assert line.status.complaint == ""
     assert line.losses == {"samples": 0, "damaged_packets": 6, "bytes": 0, "foreign_packets": 0}
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"rate": 104}, "the node samples with 512 Hz, the rig file states rate_Hz = 256"),
-        ({"rate": 106}, "the node samples with 128 Hz, the rig file states rate_Hz = 256"),
-        ({"rate": 1}, "the node samples with rate code 1 Hz, the rig file states rate_Hz = 256"),
-        ({"mask": 1}, "the node does not send channel 2, only (1,)"),
-        ({"mask": 4}, "the node does not send channel 1, 2, only (3,)"),
-    ],
-)
-def test_the_words_of_a_contradiction_state_what_the_node_sends(wrong: dict[str, int], words: str) -> None:
-    line = pipeline()
-    damage = only_event(line.feed(RX, sweeps(0, [(1, 1)], **wrong), S))
-    assert (damage.kind, damage.text, damage.facts) == ("damage", f"packet dropped: {words}", {"reason": words})
-    assert not line.status.has_reported
-    line.feed(RX, 2 * sweeps(0, [(1, 1)], **wrong), S)
-    assert line.status.complaint == f"{words}. Correct the rig file or set up the node"
-
-
-def test_every_rate_of_a_node_is_accepted_with_its_code() -> None:
-    for rate_Hz, code in ((512, 104), (256, 105), (10_000, 71)):
-        line = pipeline(rate_Hz=rate_Hz)
-        assert shape(line.feed(RX, sweeps(0, [(1, 1)], rate=code), S)) == ["samples"]
-        assert (line.base_rssi_dBm, line.node_rssi_dBm) == (-61, -49)
-
-
-def test_sweeps_of_a_packet_are_a_period_apart() -> None:
-    line = pipeline(rate_Hz=1)
-    batch = only_batch(line.feed(RX, sweeps(0, [(1, 1)] * 4, rate=113), 9 * S))
-    assert batch.time_ns.tolist() == [6 * S, 7 * S, 8 * S, 9 * S]
-    assert batch.columns["node_time_us"].tolist() == [(UTC_S + k) * 1_000_000 for k in range(4)]
-    assert batch.sequence.tolist() == batch.columns["index"].tolist() == [0, 1, 2, 3]
 
 
 def test_samples_before_a_gap_or_a_restart_come_before_its_event() -> None:
@@ -164,13 +109,6 @@ def test_only_packets_of_samples_of_this_node_give_samples() -> None:
     assert (answer.kind, answer.text) == ("reply", f"34 {NODE} {S} 0007")
     assert len(thetas(line.feed(RX, packet(0x1A, payload), S))) == 1
     assert line.status.has_reported
-
-
-def test_sixteen_foreign_nodes_have_an_event_of_their_own() -> None:
-    line = pipeline()
-    events = [line.feed(RX, packet(0x1A, b"", address), S) for address in [*range(400, 420), *range(400, 420)]]
-    assert [only_event(each).facts["node"] for each in events if each] == list(range(400, 416))
-    assert line.losses["foreign_packets"] == 40
 
 
 def test_the_first_state_of_the_beacon_is_a_reply_even_if_it_is_off() -> None:
@@ -219,20 +157,3 @@ def test_a_packet_without_a_reading_leaves_the_turns_as_they_are() -> None:
     assert np.isnan(batch.columns["theta3_rad"]).all()
     assert batch.columns["flags"].tolist() == [3, 3]
     assert thetas(line.feed(RX, floats([(-64_000.0, 0.0)], tick=3), S)) == pytest.approx([1536 * STEP])
-
-
-def test_skipped_bytes_have_their_number() -> None:
-    line, good = pipeline(), sweeps(0, [(1, 1)])
-    line.feed(RX, good, S)
-    damage, _ = line.feed(RX, b"\x00" * 3 + sweeps(1, [(1, 1)]), S)
-    assert isinstance(damage, DeviceEvent)
-    assert (damage.kind, damage.facts) == ("damage", {"bytes": 3})
-    assert damage.text == "3 bytes skipped that belong to no intact packet"
-    assert line.losses == {"samples": 0, "damaged_packets": 0, "bytes": 3, "foreign_packets": 0}
-
-
-def test_a_packet_with_impossible_content_is_dropped_and_the_next_one_is_used() -> None:
-    line = pipeline()
-    items = line.feed(RX, packet(0x1A, b"\x00" * 18) + sweeps(0, [(1, 1)]), S)
-    assert shape(items) == ["damage", "samples"]
-    assert line.losses["damaged_packets"] == 1

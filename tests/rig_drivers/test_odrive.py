@@ -15,11 +15,11 @@ from pydantic import ValidationError
 import rig_testing
 from daq.drivers.driver import Driver
 from daq.drivers.repeated_command import Mode
-from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.errors import DeviceError, LinkLost
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame, FrameDecoder, decode, encode, open_bus
 from rig_basics.units import TO_RPM
-from rig_drivers.odrive import stream, wire
+from rig_drivers.odrive import wire
 from rig_drivers.odrive.control import OdriveControl
 from rig_drivers.odrive.driver import DRIVER
 from rig_drivers.odrive.far_end import SimulatedOdrive
@@ -102,18 +102,6 @@ def test_a_velocity_that_is_not_finite_is_not_encoded(turns_per_s: float) -> Non
         wire.set_velocity(1, turns_per_s)
 
 
-@given(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans(), st.sampled_from(["0.5", "0.6"]))
-def test_no_frame_breaks_the_decoder(arbitration_id: int, data: bytes, remote: bool, firmware: str) -> None:
-    pipeline = OdrivePipeline(
-        "drive", axis(firmware=firmware, node_id=arbitration_id >> 5 if arbitration_id < 0x7E0 else 1), {}
-    )
-    frame = CanFrame(arbitration_id, bytes(len(data)) if remote else data, remote=remote)
-    for direction in (RX, TX, RX):
-        for speed, target, _ in rows(pipeline.feed(direction, text(frame), 0)):
-            assert math.isfinite(speed)
-            assert math.isfinite(target)
-
-
 def test_error_codes_depend_on_the_firmware() -> None:
     assert "watchdog" in wire.error_words("0.5", 0x800)
     assert "supply over-current while braking" in wire.error_words("0.6", 0x800)
@@ -174,15 +162,6 @@ def test_estimates_become_samples_with_set_point_and_state() -> None:
     assert rows(pipeline.feed(RX, text(estimates(0.3, 24.0)), 4 * MS)) == [(720.0, 0.0, 8)]
 
 
-def test_frames_of_other_nodes_are_ignored() -> None:
-    pipeline = OdrivePipeline("drive", axis(), {})
-    others = text(
-        beat(node=2), estimates(0.0, 9.0, node=2), CanFrame(0x29, bytes(8), extended=True), CanFrame(0x701, b"\5")
-    )
-    assert pipeline.feed(RX, others, 0) == []
-    assert not any(pipeline.losses.values())
-
-
 @pytest.mark.parametrize(
     "frame",
     [CanFrame(0x29, bytes(7)), CanFrame(0x29, struct.pack("<ff", 0.0, math.nan)), CanFrame(0x21, bytes(5))],
@@ -193,18 +172,6 @@ def test_unreadable_reports_are_counted_and_reported(frame: CanFrame) -> None:
     assert kinds(items) == ["damage"]
     assert not rows(items)
     assert pipeline.losses["unreadable_frames"] == 1
-
-
-def test_errors_are_emergencies_once_and_their_end_is_one() -> None:
-    pipeline = OdrivePipeline("drive", axis(), {})
-    pipeline.feed(RX, text(beat(state=wire.CLOSED_LOOP)), 0)
-    items = pipeline.feed(RX, text(beat(0x200), beat(0x200)), MS)
-    assert kinds(items) == ["drive", "emergency"]
-    emergency = items[-1]
-    assert isinstance(emergency, DeviceEvent)
-    assert "supply under-voltage" in DRIVER.words(emergency)
-    assert stream.statusword(wire.Heartbeat(0x200, wire.IDLE)) == 1 | 10 << 8
-    assert kinds(pipeline.feed(RX, text(beat()), 2 * MS)) == ["drive", "emergency"]
 
 
 def test_error_codes_that_are_sent_periodically_are_an_event_only_when_they_change() -> None:
@@ -221,35 +188,6 @@ def test_error_codes_that_are_sent_periodically_are_an_event_only_when_they_chan
     assert kinds(pipeline.feed(RX, text(beat(0x200), codes(0x200, 0x200)), 3 * MS)) == ["drive", "emergency", "status"]
 
 
-@pytest.mark.parametrize("firmware", ["0.5", "0.6"])
-def test_an_expired_watchdog_is_an_emergency_only_of_a_driven_rotor(firmware: str) -> None:
-    expired = wire.WATCHDOG[firmware]
-    pipeline = OdrivePipeline("drive", axis(firmware=firmware), {})
-    pipeline.feed(RX, text(beat()), 0)
-    assert kinds(pipeline.feed(RX, text(beat(expired)), MS)) == ["drive"]
-    pipeline.feed(RX, text(beat(state=wire.CLOSED_LOOP)), 2 * MS)
-    assert kinds(pipeline.feed(RX, text(beat(expired)), 3 * MS)) == ["drive", "emergency"]
-
-
-def test_a_restart_is_seen_in_state_and_position() -> None:
-    pipeline = OdrivePipeline("drive", axis(), {})
-    began_ns = 1_700_000_000_000_000_000
-    pipeline.feed(RX, text(beat(), estimates(300.0, 2.0)), began_ns)
-    assert "restart" in kinds(pipeline.feed(RX, text(beat(state=0)), began_ns + MS))
-    assert pipeline.restarted
-    assert kinds(pipeline.feed(RX, text(estimates(301.9, 2.0)), began_ns + 1000 * MS)) == []
-    assert not pipeline.restarted
-    assert kinds(pipeline.feed(RX, text(estimates(0.0, 0.0)), began_ns + 1010 * MS)) == ["restart"]
-
-
-@pytest.mark.parametrize(("position", "found"), [(293.1, []), (292.9, ["restart"])])
-def test_a_position_may_return_by_the_motion_of_the_time_passed(position: float, found: list[str]) -> None:
-    """5 turns, and the motion at 1 turn/s in the second passed and one more: 7 turns."""
-    pipeline = OdrivePipeline("drive", axis(), {})
-    pipeline.feed(RX, text(beat(), estimates(300.0, 1.0)), 0)
-    assert kinds(pipeline.feed(RX, text(estimates(position, -0.5)), 1000 * MS)) == found
-
-
 def test_a_command_of_another_node_is_a_fault() -> None:
     pipeline = OdrivePipeline("drive", axis(), {})
     own = wire.set_velocity(1, 2.0)
@@ -260,14 +198,6 @@ def test_a_command_of_another_node_is_a_fault() -> None:
     assert kinds(pipeline.feed(RX, text(other), 3 * MS)) == [], "once in a second"
     assert kinds(pipeline.feed(RX, text(other), 1100 * MS)) == ["fault"]
     assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), 1101 * MS))[0][1] == 120.0, "the set-point is this host's"
-
-
-@pytest.mark.parametrize("command", [wire.CONTROLLER_MODE, 0x0E, 0x0F, wire.CLEAR_ERRORS])
-def test_other_commands_of_the_host_leave_the_set_point(command: int) -> None:
-    pipeline = OdrivePipeline("drive", axis(), {})
-    pipeline.feed(TX, text(wire.set_velocity(1, 3.0)), 0)
-    pipeline.feed(TX, text(CanFrame(1 << 5 | command, struct.pack("<ff", 5.0, 0.0))), MS)
-    assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), 2 * MS)) == [(0.0, 180.0, 0)]
 
 
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:
@@ -450,29 +380,6 @@ def test_a_release_that_no_heartbeat_confirms_is_an_error() -> None:
     bench.far.fail("silent heartbeat", 1)
     with pytest.raises(DeviceError, match="not confirmed"):
         bench.drive.disable()
-
-
-def test_a_stop_is_sent_to_a_controller_that_does_not_answer() -> None:
-    bench = Bench(DRIVER)
-    bench.runs(200.0)
-    for what in ("silent reports", "silent heartbeat"):
-        bench.far.fail(what, 1)
-    bench.clock.wait(1.0)
-    messages: list[str] = []
-    assert bench.drive.stop(messages.append) is False
-    assert "not confirmed" in messages[-1]
-    assert abs(bench.rpm) < 1.0
-
-
-def test_no_speed_is_sent_that_is_not_permitted() -> None:
-    bench = Bench(DRIVER)
-    bench.runs(100.0)
-    bench.refuse = ProcedureError("no")
-    with pytest.raises(ProcedureError):
-        bench.drive.set_speed(300.0)
-    bench.clock.wait(1.0)
-    assert bench.rpm == pytest.approx(100.0, rel=0.01)
-    assert 300.0 in bench.permitted
 
 
 def test_a_second_host_is_a_fault() -> None:

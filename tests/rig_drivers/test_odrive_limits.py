@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.channels import MOTOR
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.can_frames import CLOSE_BUS, CanFrame, encode, open_bus
 from rig_drivers.odrive import stream
@@ -67,15 +66,6 @@ def target(line: OdrivePipeline) -> float:
 # --- the state ---------------------------------------------------------------------------------------------------
 
 
-def test_fields_of_a_statusword() -> None:
-    word = stream.statusword(Heartbeat(0x0300, 0x8E, bytes([0xA5, 0x01, 0x02])))
-    assert f"{word:024b}" == "10100101" + "00001001" + "10001110"
-    assert stream.statusword(Heartbeat(0xC000_0000, 1)) == 31 << 8 | 1
-    assert stream.statusword(Heartbeat(0x8000_0000, 255, b"\xff\0\0")) == 0xFF_20FF
-    assert stream.statusword(Heartbeat(0x0000_0007, 0)) == 1 << 8
-    assert stream.statusword(Heartbeat(0, 8)) == 8
-
-
 @pytest.mark.parametrize(("firmware", "watchdog"), [("0.5", 0x800), ("0.6", 0x100_0000)])
 @pytest.mark.parametrize(("state", "expired"), [(0, True), (1, True), (7, True), (8, False), (9, True), (14, True)])
 def test_only_the_watchdog_alone_of_an_axis_that_does_not_drive_is_no_fault(
@@ -102,22 +92,6 @@ def test_every_change_of_the_state_is_one_event() -> None:
 # --- samples -----------------------------------------------------------------------------------------------------
 
 
-def test_every_field_of_the_samples_of_a_read() -> None:
-    line = pipeline()
-    assert line.losses == {"damaged_lines": 0, "refused_lines": 0, "unreadable_frames": 0}
-    assert not line.restarted
-    found = line.feed(RX, text(estimates(0.0, 1.5), beat(0x0300), estimates(0.1, -2.0)), START_NS)
-    (batch,) = (item for item in found if isinstance(item, Batch))
-    assert batch.channel is MOTOR
-    assert (batch.time_ns.tolist(), batch.sequence.tolist()) == ([START_NS, START_NS], [0, 0])
-    assert (batch.time_ns.dtype, batch.sequence.dtype) == (np.int64, np.uint32)
-    assert batch.columns["statusword"].dtype == np.uint32
-    assert rows(found) == [(90.0, 0.0, 0), (-120.0, 0.0, 9 << 8 | 1)]
-    assert line.speeds_rpm == [90.0, -120.0]
-    assert line.feed(RX, b"", START_NS) == []
-    assert (line.speeds_rpm, line.beats) == ([], [])
-
-
 def test_only_data_frames_of_11_bits_of_its_node_are_its_own() -> None:
     line, own = pipeline(), struct.pack("<ff", 0.0, 9.0)
     others = [
@@ -132,30 +106,7 @@ def test_only_data_frames_of_11_bits_of_its_node_are_its_own() -> None:
     assert rows(line.feed(RX, text(*others, estimates(0.0, 1.0), *others), 0)) == [(60.0, 0.0, 0)]
 
 
-def test_an_unreadable_report_is_damage_with_its_bytes() -> None:
-    line = pipeline()
-    found = line.feed(RX, text(to(9, b"\1\2\xa3"), to(1, b"\4" * 7)), 0)
-    assert events(found) == [
-        ("damage", "unreadable encoder estimates of 3 bytes dropped: 01 02 a3", {"bytes": 3}),
-        ("damage", "unreadable heartbeat of 7 bytes dropped: 04 04 04 04 04 04 04", {"bytes": 7}),
-    ]
-    assert line.losses["unreadable_frames"] == 2
-    assert (line.beats, rows(found)) == ([], [])
-
-
 # --- a rotor that does not follow ---------------------------------------------------------------------------------
-
-
-def test_a_rotor_does_not_follow_after_the_stated_time_of_reports() -> None:
-    """10.006 s at one report every 10 ms are 1001 reports."""
-    line = pipeline(follow_s=10.006, estimates_ms=10)
-    line.feed(TX, text(velocity(10.0)), 0)
-    still = text(estimates(0.0, 0.0))
-    assert kinds(line.feed(RX, 1000 * still, 0)) == []
-    found = line.feed(RX, still, 0)
-    ((kind, _, facts),) = events(found)
-    assert (kind, facts) == ("fault", {"target_rpm": 600.0, "speed_rpm": 0.0})
-    assert [type(item) for item in found] == [DeviceEvent, Batch]
 
 
 @pytest.mark.parametrize("end", [(), (to(0x02),), (to(0x07, struct.pack("<II", IDLE, 0)),)])
@@ -352,19 +303,6 @@ def test_the_first_report_of_each_kind_after_the_bus_was_opened_is_a_reply() -> 
     assert replies() == []
     line.feed(TX, open_bus(250_000), 0)
     assert [replies(), replies()] == [both, []]
-
-
-def test_the_answers_about_version_and_address_are_replies_with_their_facts() -> None:
-    line = pipeline()
-    version, address = bytes.fromhex("0204043800060A01"), bytes.fromhex("07392B6A4C1E3D05")
-    found = line.feed(RX, text(to(0x00, version), to(0x06, address)), 0)
-    assert events(found, "reply") == [
-        ("reply", "version 0204043800060a01", {"firmware": "0.6.10", "hardware": "4.4.56"}),
-        ("reply", "address 07392b6a4c1e3d05", {"serial": "3D1E4C6A2B39"}),
-    ]
-    others = [to(command, address) for command in (0x04, 0x05, 0x08, 0x0A, 0x16, 0x17, 0x1D, 0x1F)]
-    assert line.feed(RX, text(to(0x00, version[:7]), to(0x06, address[:6]), *others), 1) == []
-    assert len(found) == 2
 
 
 def test_error_codes_of_firmware_0_5_are_events_by_name() -> None:

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import asdict, replace
-from importlib import resources
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.acquisition.session import Session
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.lockstep.rig import LockstepRig
-from daq.log import open_log
-from daq.replay import check
-from rig_configs import load_rig
 from rig_drivers.optoncdt_ethernet import wire
 from rig_drivers.optoncdt_ethernet.driver import DRIVER
 from rig_drivers.optoncdt_ethernet.settings import EthernetLaser
@@ -67,26 +58,6 @@ def test_a_header_with_impossible_sizes_is_skipped_byte_by_byte() -> None:
         found = wire.PacketDecoder(1).feed(bad + good)
         assert [p.counter for p in found.packets] == [5]
         assert found.skipped_bytes == wire.HEADER_BYTES
-
-
-@given(
-    st.lists(st.integers(1, 40), min_size=1, max_size=5),
-    st.lists(st.integers(0, 400), max_size=6),
-    st.binary(max_size=9),
-)
-def test_any_split_gives_the_same_packets(counts: list[int], cuts: list[int], noise: bytes) -> None:
-    rng = np.random.default_rng(len(counts))
-    sent = [wire.Packet(1, 2, (3, 4), n, rng.integers(0, 2**32, (n, 2), np.uint32)) for n in counts]
-    data = (noise if b"S" not in noise else b"") + b"".join(map(wire.encode, sent))
-    decoder, found, skipped = wire.PacketDecoder(2), list[wire.Packet](), 0
-    places = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    for begin, end in pairwise(places):
-        part = decoder.feed(data[begin:end])
-        found += part.packets
-        skipped += part.skipped_bytes
-    assert [p.counter for p in found] == counts
-    assert all(np.array_equal(a.frames, b.frames) for a, b in zip(found, sent, strict=True))
-    assert skipped == len(data) - sum(len(wire.encode(p)) for p in sent)
 
 
 def test_a_distance_is_signed_nanometres_and_the_largest_numbers_are_error_codes() -> None:
@@ -205,23 +176,6 @@ def test_every_set_up_passes_the_tests_of_drivers(case: rig_testing.ContractCase
     case()
 
 
-def test_a_session_records_it_and_decodes_its_log_again(tmp_path: Path) -> None:
-    table = '\n[devices.net]\ndriver = "optoncdt_ethernet"\nport = "p"\naxis = "y"\nwitness = "net"\nrate_Hz = 2000\n'
-    file = tmp_path / "rig.toml"
-    file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + table)
-    sim = LockstepRig(load_rig(file, settings=["virtual.seed=4"]))
-    session = Session(load_rig(file, settings=["virtual.seed=4", *sim.port_settings()]), sim.clock, edge=sim.edge)
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.wait(3.0)
-        session.stop_recording({})
-        losses = session.recording.losses()["net"]
-    assert [row.topic for row in check(tmp_path / "a.mcap") if row.difference] == []
-    with open_log(tmp_path / "a.mcap") as log:
-        assert len(log["laser/net"]) == pytest.approx(6000, abs=60)
-    assert set(losses.values()) == {0}
-
-
 # --- a scaling that cannot be right ----------------------------------------------------------------------------------
 
 
@@ -285,29 +239,6 @@ def test_a_packet_cut_by_a_lost_connection_gives_no_false_samples(kept: int, cut
     assert kinds(items).count("restart") == 1
     assert line.losses["bytes"] == kept
     assert line.losses["samples"] == 0
-
-
-def test_a_counter_ahead_of_time_is_a_restart() -> None:
-    """After five days at 5 kHz the counter is above 2³¹; from there to 0 it steps forward by less than 2³¹."""
-    line = pipeline()
-    for i in range(100):
-        line.feed(RX, packet(2**31 + 2**30 + 50 * i, [MID] * 50), S + i * 10_000_000)
-    restart, batch = line.feed(RX, packet(0, [MID] * 50), 4 * S)
-    assert isinstance(batch, Batch)
-    assert kinds([restart]) == ["restart"]
-    assert line.losses["samples"] == 0
-    assert abs(int(batch.time_ns[-1]) - 4 * S) < 20_000_000
-
-
-def test_packets_that_waited_in_the_sensor_are_no_restart_before_a_gap() -> None:
-    """A cable was out for 5 s: old packets arrive at once, then those after the sensor's buffer was full."""
-    line = pipeline()
-    for i in range(100):
-        line.feed(RX, packet(50 * i, [MID] * 50), S + i * 10_000_000)
-    late = S + 6 * S
-    assert kinds(line.feed(RX, packet(5000, [MID] * 50), late)) == []
-    assert kinds(line.feed(RX, packet(5000 + 24_900, [MID] * 50), late + 1_000_000)) == ["gap"]
-    assert line.losses["samples"] == 24_850
 
 
 @pytest.mark.parametrize("end", [0, -1])

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from daq import channels
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.lockstep.clock import START_NS, SimulatedClock
+from daq.lockstep.clock import SimulatedClock
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.motion import GRID_S, StepTrajectory
 from daq.virtual_rig.world import DeviceClock
@@ -115,16 +114,6 @@ def test_opening_sets_it_up_and_starts_its_stream(bench: Bench) -> None:
     assert not any(bench.pipeline.losses.values())
 
 
-def test_samples_are_the_motion_and_their_times_the_hosts() -> None:
-    bench = Bench(laser(), drift=4e-5, offset_m=1e-3)
-    DRIVER.open("laser_y", bench.config, bench)
-    bench.clock.wait(5.0)
-    assert {batch.channel.topic for batch in bench.batches} == {channels.LASER_Y.topic}
-    times = 1e-9 * (np.concatenate([batch.time_ns for batch in bench.batches]) - START_NS)
-    step = 0.025 / wire.FULL_SCALE
-    assert bench.column("displacement_m") == pytest.approx(bench.motion(times) + 1e-3, abs=step + 0.04 * 4e-4)
-
-
 def test_a_stream_left_running_is_run_dry_first(bench: Bench) -> None:
     bench.sensor.receive(wire.request(0, wire.START))
     bench.clock.wait(0.5)
@@ -202,17 +191,6 @@ def test_answers_that_never_agree_raise(bench: Bench) -> None:
     bench.damage = {18, 35, 52}
     with pytest.raises(DeviceError, match="expected two equal answers"):
         DRIVER.open("laser_y", bench.config, bench)
-
-
-@pytest.mark.parametrize("rest", [b"", b"\x01", b"\x01\x83\x88", b"\x83"])
-def test_stop_always_works(bench: Bench, rest: bytes) -> None:
-    DRIVER.open("laser_y", bench.config, bench)
-    bench.sensor.receive(rest)  # the beginning of a request that another program never ended
-    DRIVER.stop(bench.config, bench)
-    assert not bench.sensor.streaming
-    before = bench.bytes_in
-    bench.clock.wait(0.1)
-    assert bench.bytes_in == before
 
 
 @pytest.mark.parametrize("lost", [1, 3, 300])

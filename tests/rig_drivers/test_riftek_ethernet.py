@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
@@ -59,25 +57,6 @@ def test_a_packet_has_168_results_and_the_sensor_s_identity() -> None:
     assert found.codes.tolist() == codes.tolist()
     assert found.status.tolist() == (codes % 3).tolist()
     assert len(data) == wire.PACKET_BYTES == 512
-
-
-@given(st.integers(1, 5), st.lists(st.integers(0, 2560), max_size=8), st.binary(max_size=30))
-def test_any_split_gives_the_same_packets_also_after_damage(count: int, cuts: list[int], noise: bytes) -> None:
-    noise = noise.replace(b"\x19", b"")
-    data = packet(0) + noise + b"".join(packet(n) for n in range(1, count))
-    decoder, numbers, skipped = wire.PacketDecoder(25, "none"), list[int](), 0
-    for begin, end in pairwise([0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]):
-        part = decoder.feed(data[begin:end])
-        numbers, skipped = numbers + [p.number for p in part.packets], skipped + part.skipped_bytes
-    assert numbers == list(range(count))
-    assert skipped == (len(noise) if count > 1 else 0)
-
-
-@given(st.binary(max_size=2000), st.sampled_from(["none", "sum", "xor"]))
-def test_any_bytes_are_decoded(data: bytes, check: wire.Check) -> None:
-    decoder = wire.PacketDecoder(int.from_bytes(data[508:510], "little"), check)
-    found = decoder.feed(data + data)
-    assert found.skipped_bytes + 512 * len(found.packets) <= 2 * len(data)
 
 
 @pytest.mark.parametrize(("check", "value"), [("sum", 6), ("xor", 0)])
@@ -139,105 +118,6 @@ def test_a_sensor_that_starts_again_is_reported() -> None:
     assert sum(isinstance(item, Batch) for item in found) == 8
     assert line.losses["samples"] == 0
     assert line.repeated_packets == 0
-
-
-def stream_of(line: RiftekEthernetPipeline, *reads: tuple[int, float]) -> list[Batch | DeviceEvent]:
-    """Feed 40 packets, then those with these numbers and host times, in packets."""
-    for number in range(40):
-        line.feed(RX, packet(number), at(number))
-    times = [round((100 + when * PACKET_S) * S) for _, when in reads]
-    return [item for (number, _), ns in zip(reads, times, strict=True) for item in line.feed(RX, packet(number), ns)]
-
-
-def ends(items: list[Batch | DeviceEvent]) -> list[float]:
-    """Times of the last samples, in packets."""
-    return [(item.time_ns[-1] / S - 100) / PACKET_S for item in items if isinstance(item, Batch)]
-
-
-@pytest.mark.parametrize("off", [0.6, 3.0, 20.0, 23.4])
-@pytest.mark.parametrize("number", [0, 1, 36, 48, 255])
-def test_a_restart_is_no_loss_although_its_number_is_near_that_of_the_time(off: float, number: int) -> None:
-    """A number that was 1 s off was taken for a loss, and the times were then wrong by as much."""
-    line = pipeline()
-    found = stream_of(line, *((number + n, 40 + off + n) for n in range(12)))
-    assert kinds(found) == ["restart"]
-    assert line.losses["samples"] == line.repeated_packets == 0
-    assert ends(found) == pytest.approx([40 + off + n for n in range(12)], abs=0.01)
-
-
-def test_a_counter_that_is_set_to_zero_at_once_loses_no_packet() -> None:
-    """An input of the sensor can do that; the packets after it looked like late ones, and were dropped."""
-    line = pipeline()
-    for number in range(4):
-        line.feed(RX, packet(number), at(number))
-    found = [item for n in range(20) for item in line.feed(RX, packet(n), at(4 + n))]
-    assert kinds(found) == ["restart"]
-    assert ends(found) == pytest.approx([4 + n for n in range(20)], abs=0.01)
-
-
-@pytest.mark.parametrize("stall", [10, 40, 90])
-def test_a_host_that_stalls_is_no_restart(stall: int) -> None:
-    """The packets that waited were taken for those of a sensor that started again, with times late by the stall."""
-    line = pipeline()
-    found = stream_of(line, *((40 + n, 40 + max(n, stall)) for n in range(stall + 30)))
-    assert kinds(found) == []
-    assert ends(found) == pytest.approx([40 + n for n in range(stall + 30)], abs=1.0)
-    assert line.losses["samples"] == 0
-
-
-def test_packets_lost_while_the_host_stalls_are_counted_when_it_is_in_time_again() -> None:
-    line = pipeline()
-    waiting = [(40 + n, 70.0) for n in range(30) if n not in (7, 8)]
-    found = stream_of(line, *waiting, *((70 + n, 70.0 + n) for n in range(9)))
-    assert kinds(found) == ["gap"]
-    assert line.losses["samples"] == 2 * 168
-    assert sum(isinstance(item, Batch) for item in found) == 37
-    assert ends(found)[-1] == pytest.approx(78, abs=0.05)
-
-
-@pytest.mark.parametrize("ratio", [0.125, 0.8, 0.96, 1.04, 1.25, 8.0])
-def test_losses_of_a_sensor_with_another_rate_are_counted_without_restarts(ratio: float) -> None:
-    """The rate of the rig file is wrong; that is reported elsewhere."""
-    line = pipeline()
-    numbers = [n for n in range(120) if n not in (50, *range(70, 90))]
-    found = [item for n in numbers for item in line.feed(RX, packet(n), round((100 + n * ratio * PACKET_S) * S))]
-    assert kinds(found) == ["gap", "gap"]
-    assert line.losses["samples"] == 21 * 168
-
-
-def test_packets_without_a_place_at_the_end_of_the_log_are_returned() -> None:
-    line = pipeline()
-    assert stream_of(line, (45, 60), (46, 61), (46, 61)) == []
-    found = line.feed(RX, b"", at(62))
-    assert kinds(found) == ["restart"]
-    assert len(found) == 3
-    assert line.feed(RX, b"", at(62)) == []
-
-
-def test_packets_that_wait_for_the_host_at_the_end_of_the_log_are_no_restart() -> None:
-    line = pipeline()
-    assert stream_of(line, (42, 60), (43, 60), (45, 60)) == []
-    found = line.feed(RX, b"", at(60))
-    assert kinds(found) == ["gap", "gap"]
-    assert line.losses["samples"] == 3 * 168
-
-
-def test_a_number_that_is_a_little_high_after_a_stall_is_no_restart() -> None:
-    """The newest packets had all waited, so that none of them was in time."""
-    line = pipeline()
-    waiting = [(40 + n, 70.0 + 0.9) for n in range(31)]
-    found = stream_of(line, *waiting, (72, 72.0))
-    assert kinds(found) == ["gap"]
-    assert line.losses["samples"] == 168
-
-
-def test_an_outage_of_almost_256_packets_is_a_loss() -> None:
-    """The number is then little below that of the newest packet."""
-    for lost in (249, 255):
-        line = pipeline()
-        found = stream_of(line, (40 + lost, 40 + lost), (41 + lost, 41 + lost))
-        assert kinds(found) == ["gap"]
-        assert line.losses["samples"] == lost * 168
 
 
 def test_another_sensor_gives_no_samples() -> None:

@@ -73,25 +73,7 @@ def test_a_packet_that_is_too_long_is_suspect_wherever_the_reads_are_divided() -
         assert suspect.facts["time_ns"] == pytest.approx(int(time_ns[50]), abs=5 * MS)
 
 
-def test_results_below_and_above_a_code_without_a_target_are_readings() -> None:
-    pipe = pipeline(laser(no_target_codes=(5000,), range_m=0.05, lever_ratio=2.0))
-    batches, _ = feed(pipe, [(wire.results([4999, 5000, 5001, 16384, 16385], np.arange(5)), START_NS)])
-    found = column(batches, "displacement_m")
-    assert np.isnan(found).tolist() == [False, True, False, False, True]
-    assert found[[0, 2, 3]] == pytest.approx([(code / 16384 - 0.5) * 0.025 for code in (4999, 5001, 16384)])
-    assert pipe.losses["invalid"] == 2
-
-
 # --- reads that wait -------------------------------------------------------------------------------------------------
-
-
-def test_a_read_waits_from_30_ms_of_lateness_on() -> None:
-    pipe = after_3_s()
-    assert counters(read(pipe, [*range(3000, 3020)], 30 * MS)) == [*range(3000, 3020)]
-    assert read(pipe, [*range(3020, 3040)], 30 * MS + 1) == []
-    items = read(pipe, [*range(3040, 3060)], 30 * MS)  # the host catches up
-    assert counters(items) == [*range(3020, 3060)]
-    assert events(items) == []
 
 
 @pytest.mark.parametrize("lost", [1, 2, 3])
@@ -110,33 +92,6 @@ def test_of_a_late_read_the_results_before_its_gap_do_not_wait(lost: int) -> Non
     assert read(single, [*range(3000 + lost, 3020)], 40 * MS) == []
     items = read(single, [*range(3020, 3040)], 0)
     assert [set(event.facts) for event in events(items)] == [{"samples", "span_s", "time_ns", "device_ticks"}]
-
-
-def test_a_read_that_begins_after_one_lost_result_has_a_gap() -> None:
-    pipe = after_3_s()
-    items = read(pipe, [*range(3001, 3020)], 0)
-    (gap,) = events(items)
-    assert (gap.facts["samples"], gap.facts["device_ticks"]) == (1, 300_100)
-    assert counters(items) == [*range(3001, 3020)]
-
-
-@pytest.mark.parametrize(("excess_ms", "waits"), [(80, 5), (97, 4)])
-def test_a_wait_begins_again_while_the_host_catches_up_by_more_than_the_guard(excess_ms: int, waits: int) -> None:
-    """Of 100 ms at first; the guard is 3 ms. Reads every 130 ms: four of them are over a quarter of a second."""
-    pipe = after_3_s()
-    number, found = 3000, list[Items]()
-    for index in range(waits):
-        numbers = [*range(number, number + 130)]
-        number += 130
-        found.append(read(pipe, numbers, MS * (100 if index == 0 else excess_ms)))
-    assert [bool(items) for items in found] == [False] * (waits - 1) + [True]
-    (gap,) = events(found[-1], "gap")
-    assert gap.facts["samples"] == pipe.losses["samples"] == 4 * round(excess_ms / 4)
-    assert gap.text == (
-        f"about {gap.facts['samples']} samples lost ({gap.facts['samples']}.00 ms): known modulo 4, the rest by the "
-        "host's time, ± 4"
-    )
-    assert gap.facts["uncertain_samples"] == 4
 
 
 def test_what_the_host_sends_ends_the_wait_without_a_loss() -> None:
@@ -196,40 +151,6 @@ def test_a_loss_found_late_is_that_of_the_first_gap_only(lost: int) -> None:
     assert other.facts["device_ticks"] - late.facts["device_ticks"] == 1200
     assert counters(found) == numbers
     assert 0 < pipe.status.clock_std_ns < 1e7
-
-
-@pytest.mark.parametrize(("reads", "gap", "intervals"), [(5, False, 3), (4, False, 4), (4, True, 4)])
-def test_a_late_read_does_not_show_when_its_results_were_measured(reads: int, gap: bool, intervals: int) -> None:
-    """A loss is found after three intervals of 0.25 s with four reads in time each; in the second, one read is late."""
-    count = 500 // reads
-    pipe = pipeline(laser(2000.0))
-    feed(pipe, reads_of(np.arange(6000), 2000.0, 0.0, every_s=count / 2000))
-    found: list[int] = []
-    for index in range(4 * reads + 1):
-        numbers = np.arange(6000 + count * index, 6000 + count * (index + 1))
-        numbers = numbers[8:] if index == 0 else numbers
-        host_ns = START_NS + 500_000 * int(numbers[-1])
-        if index == reads + 1:
-            host_ns += 35 * MS
-            numbers = np.delete(numbers, 50) if gap else numbers
-        items = pipe.feed(RX, wire.results(codes_of(numbers), numbers), host_ns)
-        found += [index for event in events(items, "gap") if "found_late" in event.facts]
-    assert found == [intervals * reads]
-    assert pipe.losses["samples"] == 8 + gap
-
-
-def test_numbers_of_samples_wrap_after_32_bits() -> None:
-    """A loss of 74 days."""
-    pipe = after_3_s()
-    lost = 2**32 + 2**31
-    for index in range(14):
-        numbers = np.arange(3000 + lost + 20 * index, 3020 + lost + 20 * index)
-        items = read(pipe, numbers.tolist(), 0)
-    (gap,) = events(items, "gap")
-    assert gap.facts["samples"] == lost
-    assert counters(items) == [(3000 + lost + n) % 2**32 for n in range(280)]
-    (batch,) = (item for item in items if isinstance(item, Batch))
-    assert batch.columns["device_ticks"].tolist() == [100 * (3000 + lost + n) for n in range(280)]
 
 
 # --- set-up ----------------------------------------------------------------------------------------------------------

@@ -16,10 +16,8 @@ from daq.channels import suspects
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from rig_drivers.riftek import stream as riftek, wire
-from rig_drivers.riftek.driver import DRIVER
 from rig_drivers.riftek.settings import RiftekLaser
 from rig_drivers.riftek.stream import RiftekPipeline
-from tests.effort import cases
 
 START_NS = 1_700_000_000_000_000_000
 MIDDLE = wire.FULL_SCALE // 2
@@ -306,16 +304,6 @@ def test_another_rate_than_the_files_is_no_loss() -> None:
     assert len(column(batches, "counter")) == 6000
 
 
-def test_a_packet_that_is_too_long_is_suspect() -> None:
-    numbers = np.arange(100)
-    data = wire.results(codes_of(numbers), numbers)
-    pipe = pipeline(laser())
-    batches, events = feed(pipe, [(data[:204], START_NS), (data[203:204] + data[204:], START_NS)])
-    assert np.flatnonzero(suspects(column(batches, "flags"))).tolist() == [50]
-    assert pipe.losses["suspect"] == 1
-    assert [event.kind for event in events] == ["damage", "suspect"]
-
-
 def test_a_lone_false_result_is_suspect() -> None:
     numbers = np.arange(400)
     codes = codes_of(numbers)
@@ -323,60 +311,6 @@ def test_a_lone_false_result_is_suspect() -> None:
     batches, events = feed(pipeline(laser()), [(wire.results(codes, numbers), START_NS)])
     assert np.flatnonzero(suspects(column(batches, "flags"))).tolist() == [300]
     assert [event.kind for event in events] == ["suspect"]
-
-
-@settings(max_examples=cases(20, 40))
-@given(st.lists(st.one_of(st.integers(1, 60), st.binary(max_size=9)), max_size=10), st.integers(1, 50))
-def test_the_split_into_reads_changes_no_value(parts: list[int | bytes], cut: int) -> None:
-    data, at = b"", 0
-    for part in parts:
-        if isinstance(part, int):
-            data += wire.results(codes_of(np.arange(at, at + part)), np.arange(at, at + part))
-            at += part
-        else:
-            data += part
-    whole, in_parts = pipeline(laser()), pipeline(laser())
-    one, _ = feed(whole, [(data, START_NS)])
-    many, _ = feed(in_parts, [(data[i : i + cut], START_NS) for i in range(0, len(data), cut)])
-    assert whole.losses == in_parts.losses
-    assert bool(one) == bool(many)
-    for name in one[0].columns if one else ():
-        assert np.array_equal(column(one, name), column(many, name), equal_nan=True), name
-
-
-def test_the_same_bytes_at_the_same_times_give_the_same_batches() -> None:
-    reads = reads_of(without(6000, 2000, 900), 1000.0, 1e-3)
-    reads[20] = reads[20][0][:30] + b"\x00\xf0" + reads[20][0][31:], reads[20][1]
-    first, second = feed(pipeline(laser()), reads), feed(pipeline(laser()), reads)
-    assert first[1] == second[1]
-    for one, two in zip(first[0], second[0], strict=True):
-        assert np.array_equal(one.time_ns, two.time_ns)
-        assert np.array_equal(one.sequence, two.sequence)
-        for name in one.columns:
-            assert np.array_equal(one.columns[name], two.columns[name], equal_nan=True)
-
-
-@settings(max_examples=cases(20, 40))
-@given(
-    st.lists(
-        st.tuples(st.sampled_from([RX, RX, TX]), st.binary(max_size=300), st.integers(-(10**9), 10**10)), max_size=20
-    )
-)
-def test_no_bytes_and_no_times_break_it(reads: list[tuple[int, bytes, int]]) -> None:
-    pipe = pipeline(laser())
-    for direction, data, after_ns in reads:
-        pipe.feed(direction, data, START_NS + after_ns)
-
-
-def test_what_the_driver_derives_from_its_settings() -> None:
-    config = laser(4000.0)
-    assert DRIVER.settings is RiftekLaser
-    assert DRIVER.line(config).baud == 921_600
-    assert DRIVER.channels(config) == (channels.LASER_X,)
-    (clock,) = DRIVER.clocks(config)
-    assert (clock.topic, clock.rate_Hz, clock.field, clock.tick_ns) == ("laser/x", 4000.0, "device_ticks", 10_000)
-    DRIVER.load()
-    assert isinstance(DRIVER.pipeline("laser_x", config, {}), RiftekPipeline)
 
 
 @pytest.mark.parametrize(

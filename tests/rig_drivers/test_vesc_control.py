@@ -11,8 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from daq.drivers.contract import RotorGuard, SpeedControl, TimeOut
-from daq.drivers.driver import Driver
+from daq.drivers.contract import RotorGuard, TimeOut
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock
@@ -149,21 +148,6 @@ def bench(on_rig_time: Callable[[Bench], Bench]) -> Bench:
     return on_rig_time(Bench())
 
 
-def test_the_driver_is_one() -> None:
-    driver: Driver = DRIVER
-    assert driver.name == "vesc"
-    assert DRIVER.settings is Vesc
-    assert DRIVER.speed_source is not None
-    assert DRIVER.line(SETTINGS).baud == 115_200
-    assert [channel.topic for channel in DRIVER.channels(SETTINGS)] == ["motor"]
-    assert DRIVER.clocks(SETTINGS) == ()
-
-
-def test_it_is_a_speed_source(bench: Bench) -> None:
-    source: SpeedControl = bench.control
-    assert source.was_reset == ""
-
-
 def test_before_it_is_enabled_it_is_polled_and_not_commanded(bench: Bench) -> None:
     bench.pass_time(0.5)
     assert bench.commands == []
@@ -236,23 +220,6 @@ def test_a_speed_it_cannot_hold_is_refused_before_the_guard_is_called(bench: Ben
     assert bench.permitted == []
 
 
-def test_a_speed_is_refused_while_it_is_not_enabled(bench: Bench) -> None:
-    bench.pass_time(0.1)
-    with pytest.raises(DeviceError, match="not enabled"):
-        bench.control.set_speed(300.0)
-    bench.runs(300.0)
-    bench.control.quick_stop()
-    with pytest.raises(DeviceError, match="not enabled"):
-        bench.control.set_speed(300.0)
-    assert bench.commands[-1][1].what == wire.SET_BRAKE
-
-
-def test_an_invalid_ramp_is_refused(bench: Bench) -> None:
-    for rate in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(DeviceError, match="ramp"):
-            bench.control.set_ramp(rate)
-
-
 def test_a_quick_stop_brakes_at_once(bench: Bench) -> None:
     bench.runs(600.0)
     bench.control.quick_stop()
@@ -262,16 +229,6 @@ def test_a_quick_stop_brakes_at_once(bench: Bench) -> None:
     assert abs(bench.rpm) < 1
     assert bench.control.state == "BRAKES"
     assert bench.control.dropped_out is None
-
-
-def test_a_stop_while_it_is_being_enabled_wins(bench: Bench) -> None:
-    """A background thread stops the rotor in the middle of enable."""
-    bench.pass_time(0.1)
-    bench.at_permit = bench.control.quick_stop
-    with pytest.raises(DeviceError, match="a stop was commanded"):
-        bench.control.enable()
-    assert bench.control.mode is Mode.BRAKE
-    assert not bench.control.enabled
 
 
 def test_a_stop_while_a_speed_is_being_permitted_wins(bench: Bench) -> None:
@@ -314,16 +271,6 @@ def test_stop_brakes_and_then_releases(bench: Bench) -> None:
     assert len(bench.log) > count
 
 
-def test_a_rotor_that_does_not_stop_is_not_released(bench: Bench) -> None:
-    bench.runs(300.0)
-    bench.far.fail("deaf", 1)
-    bench.far._timeout_s = math.inf
-    messages: list[str] = []
-    assert bench.control.stop(messages.append) is False
-    assert bench.commands[-1][1].what == wire.SET_BRAKE
-    assert messages[0] == "waiting for the rotor to stop, 299 rpm"
-
-
 def test_a_silent_one_is_commanded_and_its_release_is_not_confirmed(bench: Bench) -> None:
     bench.runs(300.0)
     bench.control._guarded = replace(bench.control._guarded, at_rest=lambda: abs(bench.rpm) < 1)  # by the index marks
@@ -356,13 +303,6 @@ def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
     bench.control._send = late
     with pytest.raises(DeviceError, match="not confirmed"):
         bench.control.disable()
-
-
-def test_without_a_command_there_is_nothing_to_stop(bench: Bench) -> None:
-    assert bench.control.stop() is True
-    bench.pass_time(0.1)
-    assert bench.control.stop() is True
-    assert bench.commands == []
 
 
 def test_a_line_that_is_gone_is_released(bench: Bench) -> None:
@@ -712,19 +652,6 @@ def test_a_host_that_was_asleep_goes_on_where_the_ramp_was(bench: Bench) -> None
 
 
 # --- log, thread, dialogue ------------------------------------------------------------------------------------
-
-
-def test_the_log_replays_to_the_same_rows(bench: Bench) -> None:
-    bench.runs(300.0)
-    bench.far.fail("fault", 4)
-    bench.pass_time(1.0)
-    again = Bench()
-    for direction, data, host_ns in bench.log:
-        again.clock.rig_s = host_ns * 1e-9
-        again._feed(direction, data)
-    assert again.rows == bench.rows
-    assert again.events == bench.events
-    assert again.pipeline.losses == bench.pipeline.losses
 
 
 def test_its_thread_polls_and_ends() -> None:

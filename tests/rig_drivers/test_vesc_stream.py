@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from daq.channels import MOTOR
 from daq.items import RX, TX, Batch, DeviceEvent
@@ -202,65 +200,3 @@ def test_damage_is_counted_and_the_rest_of_an_earlier_answer_is_not() -> None:
     assert not events(pipeline.feed(RX, whole[20:] + whole, 1), "damage")
     (damage,) = events(pipeline.feed(RX, b"\xff" * 5 + whole, 2), "damage")
     assert damage.facts["bytes"] == pipeline.losses["damaged_bytes"] == 5
-
-
-PIECES = st.lists(
-    st.one_of(
-        st.tuples(st.just(TX), st.integers(-20_000, 20_000).map(wire.set_rpm)),
-        st.tuples(st.just(TX), st.sampled_from([wire.get_values(), wire.set_brake(5.0), wire.release()])),
-        st.tuples(
-            st.just(RX),
-            st.builds(
-                wire.Values,
-                erpm=st.integers(-20_000, 20_000),
-                turned=st.integers(0, 99),
-                fault=st.integers(0, 2),
-                status=st.sampled_from([None, 0, 1]),
-            ).map(answer),
-        ),
-        st.tuples(st.just(RX), st.binary(min_size=1, max_size=30)),
-    ),
-    max_size=20,
-)
-
-
-def same(one: list[Batch | DeviceEvent], other: list[Batch | DeviceEvent]) -> None:
-    assert len(one) == len(other)
-    for a, b in zip(one, other, strict=True):
-        if isinstance(a, Batch) and isinstance(b, Batch):
-            assert (a.channel, a.time_ns.tobytes()) == (b.channel, b.time_ns.tobytes())
-            assert {k: v.tobytes() for k, v in a.columns.items()} == {k: v.tobytes() for k, v in b.columns.items()}
-        else:
-            assert a == b
-
-
-@given(PIECES)
-def test_replay_gives_the_same(pieces: list[tuple[int, bytes]]) -> None:
-    live, again = VescPipeline("drive", SETTINGS, {}), VescPipeline("drive", SETTINGS, {})
-    for at, (direction, data) in enumerate(pieces):
-        same(live.feed(direction, data, at), again.feed(direction, data, at))
-    assert live.losses == again.losses
-
-
-@given(PIECES, st.integers(1, 9))
-def test_any_split_gives_the_same_samples_and_losses(pieces: list[tuple[int, bytes]], size: int) -> None:
-    whole, split = VescPipeline("drive", SETTINGS, {}), VescPipeline("drive", SETTINGS, {})
-    one: list[Batch | DeviceEvent] = []
-    other: list[Batch | DeviceEvent] = []
-    for direction, data in pieces:
-        one += whole.feed(direction, data, 7)
-        for at in range(0, len(data), size):
-            other += split.feed(direction, data[at : at + size], 7)
-    assert samples(one) == samples(other)
-    assert whole.losses == split.losses
-    texts = [
-        [(e.kind, e.text) for e in items if isinstance(e, DeviceEvent) and e.kind != "damage"] for items in (one, other)
-    ]
-    assert texts[0] == texts[1]
-
-
-def test_columns_have_the_channels_types() -> None:
-    batch = VescPipeline("drive", SETTINGS, {}).feed(RX, answer(RUNNING) * 2, 1)[-1]
-    assert isinstance(batch, Batch)
-    assert batch.sequence.dtype == batch.columns["statusword"].dtype == np.uint32
-    assert batch.columns["speed_rpm"].dtype == batch.columns["target_rpm"].dtype == float

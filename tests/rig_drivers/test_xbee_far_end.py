@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import queue
 from collections.abc import Callable
 from functools import partial
@@ -163,39 +162,7 @@ def test_answers_to_older_questions_are_passed_over() -> None:
     assert DRIVER.open("encoder", bench.config, bench)["serial"] == OWN
 
 
-def test_what_the_driver_is() -> None:
-    config = settings(rate_Hz=500)
-    assert DRIVER.settings is XBeeNode
-    assert [channel.topic for channel in DRIVER.channels(config)] == ["pendulums"]
-    assert [(clock.rate_Hz, clock.field) for clock in DRIVER.clocks(config)] == [(500, "node_time_us")]
-    assert DRIVER.line(config).baud == 115_200
-
-
-@pytest.mark.parametrize("fault", ["dead", "out of reach"])
-def test_stop_does_not_depend_on_the_node(fault: str) -> None:
-    bench = Bench(settings())
-    bench.far.fail(fault, 1)
-    DRIVER.stop(bench.config, bench)
-
-
 # --- samples ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_samples_are_the_nodes(kind: dict[str, Any]) -> None:
-    bench = Bench(settings(**kind))
-    bench.motion.target_rad_s = 30.0
-    bench.motion.ramp_rad_s2 = 200.0
-    bench.clock.wait(2.0)
-    index = bench.column("pendulums", "index")
-    assert np.array_equal(index, np.arange(len(index)))
-    assert len(index) >= 450
-    tick = 2 * np.pi / 4096
-    assert np.all(np.abs(bench.column("pendulums", "theta3_rad")) < 2 * tick)
-    assert np.all(np.abs(bench.column("pendulums", "theta4_rad") - np.pi) < 2 * tick)
-    assert len(bench.column("tacho", "revolutions")) >= 7
-    assert bench.pipeline.node_status is not None
-    assert not any(bench.pipeline.losses.values())
 
 
 @pytest.mark.parametrize("kind", [0x90, 0x91, 0x80])
@@ -217,25 +184,6 @@ def test_what_the_air_loses_is_counted_exactly() -> None:
     assert bench.pipeline.losses["damaged_frames"] == 0
     index = bench.column("pendulums", "index")
     assert bench.pipeline.losses["samples"] == index[-1] + 1 - len(index)
-
-
-def test_the_bytes_of_a_run_decoded_again_give_the_same() -> None:
-    bench = Bench(settings(), Radio(burst_start=0.05))
-    with contextlib.suppress(DeviceError):
-        bench.locks.command("release both", no_check)
-    bench.far.fail("foreign", 3)
-    bench.clock.wait(1.0)
-    again = DRIVER.pipeline("encoder", bench.config, bench.identity)
-    found = [item for raw in bench.raw for item in again.feed(*raw)]
-    assert len(found) == len(bench.found) > 20
-    for new, old in zip(found, bench.found, strict=True):
-        if isinstance(new, DeviceEvent):
-            assert new == old
-        else:
-            assert isinstance(old, Batch)
-            assert np.array_equal(new.time_ns, old.time_ns)
-            assert all(np.array_equal(new.columns[name], old.columns[name]) for name in old.columns)
-    assert again.losses == bench.pipeline.losses
 
 
 def test_a_module_that_restarts_is_an_event_and_its_lost_frames_are_counted() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,10 +14,8 @@ from daq.items import RX, TX, Batch, DeviceEvent
 from rig_drivers.xbee import framing
 from rig_drivers.xbee.settings import XBeeNode
 from rig_drivers.xbee.stream import XBeePipeline
-from tests.rig_drivers.test_xbee_wire import mutated
 
 START_NS = 1_700_000_000_000_000_000
-MUTATED_FRAMES = 5_000
 
 NODE, STRANGER = "0013A20041AEB54E", "0013A20099999999"
 MODES = pytest.mark.parametrize("mode", [1, 2], ids=["AP=1", "AP=2"])
@@ -101,25 +97,6 @@ def test_the_same_items_as_over_a_dongle(mode: int, kind: int) -> None:
     assert events == expected_events
     assert of_module.status == own.status
     assert of_module.losses == {"radio_frames": 1, "damaged_frames": 0, "samples": 5, "foreign_frames": 0}
-
-
-@given(st.lists(st.integers(0, 5000)), st.integers(1, 2))
-def test_the_split_into_reads_changes_nothing_but_host_times(cuts: list[int], mode: int) -> None:
-    line = b"\x01\x02" + b"".join(api(payload, mode) for payload in PAYLOADS) + b"\x7e\x00\x55" + api(block(4), mode)
-    edges = sorted({0, len(line), *(cut % (len(line) + 1) for cut in cuts)})
-    whole, parts = pipeline(mode), pipeline(mode)
-    expected, expected_events = feed(whole, [line])
-    found, events = feed(parts, [line[a:b] for a, b in pairwise(edges)])
-    assert same(found, expected, times=False)
-    assert [(e.kind, e.text.split(",")[0]) for e in events] == [(e.kind, e.text.split(",")[0]) for e in expected_events]
-    assert parts.losses == whole.losses
-
-
-def test_the_same_bytes_fed_again_give_the_same_samples_at_the_same_times() -> None:
-    parts = [api(block(i)) for i in range(30) if i % 7]
-    first, second = feed(pipeline(), parts), feed(pipeline(), parts)
-    assert same(first[0], second[0])
-    assert first[1] == second[1]
 
 
 @given(st.sets(st.integers(1, 38), max_size=25))
@@ -259,36 +236,6 @@ def test_the_other_mode_than_the_modules_is_seen_at_once(mode: int) -> None:
     batches, _ = feed(into, [api(block(i), mode=3 - mode) for i in range(60)])
     assert batches == []
     assert into.losses["damaged_frames"] > 50
-
-
-@given(st.binary(max_size=3000), st.integers(1, 400), st.integers(1, 2))
-def test_no_bytes_break_it(data: bytes, cut: int, mode: int) -> None:
-    into = pipeline(mode)
-    for i in range(0, len(data), cut):
-        into.feed(RX, data[i : i + cut], START_NS + i)
-
-
-@MODES
-def test_no_mutated_frame_gives_a_wrong_sample(mode: int) -> None:
-    draw, into = random.Random(mode), pipeline(mode)
-    count_a, count_b, index, stopped = [], [], [], 0
-    for i in range(MUTATED_FRAMES):
-        line = api(block(i, samples=2), mode)
-        line = line if i % 20 == 0 else mutated(line, draw)
-        for item in into.feed(RX, line, START_NS + 8_000_000 * i):
-            if isinstance(item, Batch):
-                count_a += item.columns["count_a"].tolist()
-                count_b += item.columns["count_b"].tolist()
-                index += item.columns["index"].tolist()
-            else:
-                stopped += item.kind in ("restart", "modem", "lock", "fault", "acknowledge")
-    assert count_a == [3 * k - 40 for k in index]
-    assert count_b == [2048 + 17 * k for k in index]
-    assert np.all(np.diff(index) > 0)
-    assert len(index) >= 2 * MUTATED_FRAMES // 20
-    assert stopped == 0
-    assert into.losses["damaged_frames"] > 0.7 * MUTATED_FRAMES
-    assert into.losses["samples"] == index[-1] + 1 - len(index)
 
 
 @MODES

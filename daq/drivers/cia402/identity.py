@@ -18,8 +18,8 @@ def recognise(settings: MotorDrive, data: bytes) -> FoundDevice | None:
     reports = Counter[int]()
     for frame in frames_in(data):
         node = frame.arbitration_id - cia301.cob_tpdo(1, 0)
-        if 1 <= node <= 127 and len(frame.data) >= cia402.TPDO1_BYTES:
-            word, _ = cia402.unpack_tpdo1(frame.data)
+        if 1 <= node <= 127 and len(frame.data) >= cia402.VELOCITY.size:
+            word, _ = cia402.VELOCITY.unpack(frame.data)
             reports[node] += cia402.state(word) != cia402.UNKNOWN
     node, count = next(iter(reports.most_common(1)), (0, 0))
     return FoundDevice({"node_id": node}) if count else None

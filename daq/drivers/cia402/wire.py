@@ -20,7 +20,7 @@ from daq.drivers.cia402.settings import MotorDrive
 # Object dictionary
 ABORT_REACTION, ERROR_CODE = 0x6007, 0x603F
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
-TARGET_VELOCITY, VELOCITY_DEMAND, ACTUAL_VELOCITY = 0x6042, 0x6043, 0x6044
+TARGET_VELOCITY, ACTUAL_VELOCITY = 0x6042, 0x6044
 VELOCITY_ACCELERATION, VELOCITY_DECELERATION = 0x6048, 0x6049
 """Ramps: sub 1 Δspeed in rpm (u32), sub 2 Δtime in s (u16)."""
 MODE_OF_OPERATION, MODE_DISPLAY, SUPPORTED_MODES = 0x6060, 0x6061, 0x6502
@@ -64,7 +64,6 @@ _TOWARDS_OPERATION = {
     QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
     FAULT: FAULT_RESET,
 }
-_STATUS_SPEED = struct.Struct("<Hh")
 
 
 @lru_cache(1024)
@@ -83,47 +82,9 @@ def towards_operation(state_name: str) -> int | None:
     return _TOWARDS_OPERATION.get(state_name)
 
 
-def pack_tpdo1(statusword: int, actual_rpm: int) -> bytes:
-    """Encode drive to host: statusword u16, actual speed i16 in rpm."""
-    return _STATUS_SPEED.pack(statusword, actual_rpm)
-
-
 def write_word(index: int, value: int) -> bytes:
     """Return the request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
     return struct.pack("<BHBHH", 0x2B, index, 0, value, 0)
-
-
-TPDO1_BYTES = 4
-
-
-def unpack_tpdo1(data: bytes) -> tuple[int, int]:
-    """Return statusword and actual speed in rpm; further mapped objects are ignored.
-
-    Raises:
-        ValueError: there are fewer than 4 bytes.
-    """
-    return _four(data[:TPDO1_BYTES], "TPDO1 (statusword u16, actual rpm i16)")
-
-
-def pack_rpdo1(controlword: int, target_rpm: int) -> bytes:
-    """Encode host to drive: controlword u16, target speed i16 in rpm."""
-    return _STATUS_SPEED.pack(controlword, target_rpm)
-
-
-def unpack_rpdo1(data: bytes) -> tuple[int, int]:
-    """Return controlword and target speed in rpm.
-
-    Raises:
-        ValueError: the length is not 4 bytes.
-    """
-    return _four(data, "RPDO1 (controlword u16, target rpm i16)")
-
-
-def _four(data: bytes, what: str) -> tuple[int, int]:
-    if len(data) != _STATUS_SPEED.size:
-        raise ValueError(f"expected 4 bytes of {what}, got {len(data)}: check the drive's PDO mapping")
-    word, speed = _STATUS_SPEED.unpack(data)
-    return word, speed
 
 
 def consumer_heartbeat(host_node: int, timeout_ms: int) -> int:

@@ -197,7 +197,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(
     assert not waited
     with open_log(path) as log:
         written = [(c.direction, c.host_ns, c.data) for c in log.raw("drive")]
-    quick = cia402.pack_rpdo1(cia402.QUICK_STOP, 0)
+    quick = cia402.VELOCITY.pack(cia402.QUICK_STOP, 0)
     assert any(direction == 1 and quick in data for direction, _, data in written)
     assert [ns for _, ns, _ in written] == sorted(ns for _, ns, _ in written)  # rx and tx as they were
     assert [row.topic for row in check(path) if row.difference] == []

@@ -154,7 +154,7 @@ class FaultyDrive:
             if frame.arbitration_id == cia301.cob_sdo_request(5):
                 self.host.take_frames([CanFrame(cia301.cob_sdo_answer(5), self._sdo.answer(frame.data))])
             elif frame.arbitration_id == cia301.cob_rpdo(1, 5):
-                word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
+                word, before = cia402.VELOCITY.unpack(frame.data)[0], self.control
                 self.control = word
                 if self.state == cia402.FAULT:  # left by the bit's rising edge alone
                     self.state = cia402.SWITCH_ON_DISABLED if word & 0x80 and not before & 0x80 else self.state
@@ -166,7 +166,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.take_frames([CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.take_frames([CanFrame(cia301.cob_tpdo(1, 5), cia402.VELOCITY.pack(word, 0))])
 
 
 @pytest.mark.parametrize(

@@ -90,9 +90,9 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
     for is_host, rpm in frames:
         if is_host:
-            take(TX, encode(CanFrame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
+            take(TX, encode(CanFrame(cia301.cob_rpdo(1, 5), cia402.VELOCITY.pack(15, rpm))))
         else:
-            pending += encode(CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
+            pending += encode(CanFrame(cia301.cob_tpdo(1, 5), cia402.VELOCITY.pack(0x237, rpm)))
             size = next(cut)
             take(RX, pending[:size])
             pending = pending[size:]

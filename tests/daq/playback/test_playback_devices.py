@@ -197,7 +197,7 @@ class Bus:
 
 
 def report(status: int, rpm: int) -> bytes:
-    return encode(CanFrame(cia301.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm)))
+    return encode(CanFrame(cia301.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.VELOCITY.pack(status, rpm)))
 
 
 def test_our_own_control_starts_and_stops_a_played_drive() -> None:

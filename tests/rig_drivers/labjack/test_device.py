@@ -71,32 +71,6 @@ def test_an_answer_shorter_than_its_samples_is_damaged(body: bytes) -> None:
     assert made.pipeline.losses["bytes"] == len(body)
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 0xFFFF), st.sampled_from([0x4C, 0xCC]), st.binary(max_size=200)), max_size=5),
-    st.lists(st.integers(0, 1500), max_size=8),
-)
-def test_any_split_gives_the_same_messages(parts: list[tuple[int, int, bytes]], cuts: list[int]) -> None:
-    messages = [wire.Message(*part) for part in parts]
-    data = b"".join(map(wire.encode, messages))
-    edges = sorted({0, len(data), *(cut % (len(data) + 1) for cut in cuts)})
-    decoder = wire.MessageDecoder()
-    found = [decoder.feed(data[a:b]) for a, b in pairwise(edges)] if data else []
-    assert [message for each in found for message in each.messages] == messages
-    assert not any(each.skipped_bytes for each in found)
-
-
-@given(st.lists(st.binary(max_size=300), max_size=8))
-def test_hostile_bytes_raise_nothing_and_are_all_accounted_for(reads: list[bytes]) -> None:
-    decoder, made = wire.MessageDecoder(), Reads(tacho={"input": "AIN2"})
-    total = sum(map(len, reads))
-    used = 0
-    for data in reads:
-        found = decoder.feed(data)
-        used += found.skipped_bytes + sum(8 + len(message.body) for message in found.messages)
-        made.feed(data)
-    assert total - used < 6 + 512
-
-
 # --- volts ------------------------------------------------------------------------------------------------------------
 
 

@@ -188,22 +188,6 @@ def test_without_a_command_of_its_own_a_quick_stop_is_a_steep_ramp() -> None:
     assert bench.rpm == pytest.approx(230, abs=30)  # the ramp is the commanded one again
 
 
-def test_a_stop_while_it_is_being_enabled_prevails(bench: Bench) -> None:
-    permit = bench._permit
-
-    def stop_at_once(rpm: float | None) -> None:
-        permit(rpm)
-        if len(bench.permitted) == 2:
-            bench.drive.quick_stop()
-
-    bench.drive._guarded = bench.drive._guarded.__class__(stop_at_once, bench._at_rest, lambda: 0.0)
-    with pytest.raises(DeviceError, match="a stop was commanded"):
-        bench.drive.enable()
-    bench.clock.wait(0.5)
-    assert not bench.drive.enabled
-    assert bench.converter.state == "off"
-
-
 def test_no_command_follows_a_stop_that_interrupts_it(bench: Bench) -> None:
     bench.turn()
     line = bench.drive._line

@@ -102,16 +102,6 @@ def test_a_sample_has_the_time_of_its_answer_which_may_come_after_half_a_second(
 # --- answers and their requests --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cut", [1, 5, 12])
-def test_reads_of_any_length_give_the_same(cut: int) -> None:
-    line = Line()
-    line.ask()
-    line.hear(report()[:cut])
-    line.hear(report()[cut:])
-    assert line.column() == [300]
-    assert line.lost() == {}
-
-
 def test_a_late_answer_is_not_the_next_requests() -> None:
     """The next request reads another number of registers; its own answer is still found."""
     line = Line()

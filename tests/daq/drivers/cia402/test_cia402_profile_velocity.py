@@ -60,7 +60,7 @@ def test_its_objects_are_those_of_the_standard() -> None:
 def test_velocity_mode_has_the_same_bytes_as_before() -> None:
     velocity = profile_of(MotorDrive(driver="cia402", port="p"))
     assert velocity is VELOCITY
-    assert velocity.pack(0x000F, -300) == cia402.pack_rpdo1(0x000F, -300)
+    assert velocity.pack(0x000F, -300) == cia402.VELOCITY.pack(0x000F, -300)
     assert velocity.mapping(0x6040, velocity.target) == (cia301.mapped_word(0x6040), cia301.mapped_word(0x6042))
 
 
@@ -142,7 +142,7 @@ def test_a_ramp_below_the_drives_unit_is_refused() -> None:
 
 def test_a_report_of_velocity_mode_is_too_short() -> None:
     pipeline = DRIVER.pipeline("drive", drive(), {})
-    data = encode(CanFrame(0x185, cia402.pack_tpdo1(0x0237, 300)))
+    data = encode(CanFrame(0x185, cia402.VELOCITY.pack(0x0237, 300)))
     (event,) = pipeline.feed(RX, data, 0)
     assert not isinstance(event, Batch)
     assert event.text.startswith("its reports (TPDO1) have 4 bytes; statusword and actual speed are 6.")

@@ -146,7 +146,7 @@ def test_a_drive_may_need_seconds_to_be_enabled() -> None:
     begun_s = clock.wall_s()
 
     def hear_slowly(data: bytes) -> None:
-        enabling = encode(CanFrame(cia301.cob_rpdo(1, NODE), cia402.pack_rpdo1(0x0F, 0)))
+        enabling = encode(CanFrame(cia301.cob_rpdo(1, NODE), cia402.VELOCITY.pack(0x0F, 0)))
         if data == enabling and clock.wall_s() < begun_s + 6.0:
             drive.reports()
         else:

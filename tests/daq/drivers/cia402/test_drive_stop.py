@@ -114,7 +114,7 @@ class FarEnd:
                     continue
                 if self.network != cia301.Heartbeat.OPERATIONAL:
                     continue
-                word, _ = cia402.unpack_rpdo1(frame.data)
+                word, _ = cia402.VELOCITY.unpack(frame.data)
                 self._heeds(word)
                 self.speak()
 
@@ -127,7 +127,7 @@ class FarEnd:
         if self.mute_reports:
             return
         _, word = cia402.STATES[self.state]
-        self.report(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(word, self.rpm))
+        self.report(cia301.cob_tpdo(1, CONFIG.node_id), cia402.VELOCITY.pack(word, self.rpm))
 
     def runs(self, rpm: int) -> None:
         self.control.start()
@@ -136,7 +136,7 @@ class FarEnd:
 
     def controlwords(self) -> list[int]:
         pdo = cia301.cob_rpdo(1, CONFIG.node_id)
-        return [cia402.unpack_rpdo1(data)[0] for identifier, data in self.received if identifier == pdo]
+        return [cia402.VELOCITY.unpack(data)[0] for identifier, data in self.received if identifier == pdo]
 
 
 @pytest.fixture(autouse=True)
@@ -378,7 +378,7 @@ def test_a_drive_found_in_operation_gets_the_target_0() -> None:
     far.speak()
     far.control.enable()
     orders = [d for i, d in far.received if i == cia301.cob_rpdo(1, CONFIG.node_id)]
-    assert [cia402.unpack_rpdo1(d) for d in orders] == [(cia402.ENABLE_OPERATION, 0)]
+    assert [cia402.VELOCITY.unpack(d) for d in orders] == [(cia402.ENABLE_OPERATION, 0)]
     far.control.stop()
 
 

@@ -20,8 +20,8 @@ from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
 BEAT = encode(CanFrame(cia301.cob_heartbeat(CONFIG.host_node_id), b"\x05"))
-ORDER = encode(CanFrame(cia301.cob_rpdo(1, CONFIG.node_id), cia402.pack_rpdo1(cia402.SHUTDOWN, 0)))
-REPORT = encode(CanFrame(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(0x0631, 0)))
+ORDER = encode(CanFrame(cia301.cob_rpdo(1, CONFIG.node_id), cia402.VELOCITY.pack(cia402.SHUTDOWN, 0)))
+REPORT = encode(CanFrame(cia301.cob_tpdo(1, CONFIG.node_id), cia402.VELOCITY.pack(0x0631, 0)))
 
 
 class Bus:

@@ -162,45 +162,6 @@ def test_no_words_and_no_text_invent_losses_or_break_it(
     assert 0 <= whole.losses["samples"] <= 4000 * (2 + len(wire) * 20e-6)
 
 
-def test_a_gap_longer_than_the_host_waited_is_a_restart_and_no_loss() -> None:
-    laser = pipeline()
-    _, events = fed([stream(USUAL, K), stream(USUAL, K + 40_000_000)], laser)  # 10 000 s in a few milliseconds
-    assert [event.kind for event in events] == ["restart"]
-    assert laser.losses["samples"] == 0
-
-
-@pytest.mark.parametrize("seconds", [2.3, 7.0, 29.0])
-@pytest.mark.parametrize("first", [0, 70_000, 250_000])
-def test_a_gap_that_a_busy_host_read_late_is_a_loss_not_a_restart(seconds: float, first: int) -> None:
-    """A host stops reading; the samples that waited come at once with those after the loss."""
-    laser = pipeline()
-    k, lost = first + np.arange(800), round(4000 * seconds)
-    items = [item for at in range(0, 400, 40) for item in laser.feed(RX, stream(USUAL, k[at:][:40]), at * 250_000)]
-    for data in (stream(USUAL, k[400:]), stream(USUAL, k + 800 + lost)):
-        items += laser.feed(RX, data, round(1e9 * seconds) + 1600 * 250_000)
-    (gap,) = [item for item in items if isinstance(item, DeviceEvent)]
-    assert gap.kind == "gap"
-    assert laser.losses["samples"] == lost
-    assert sum(len(item.time_ns) for item in items if isinstance(item, Batch)) == 1600
-
-
-def test_a_damaged_first_sample_is_no_restart() -> None:
-    wire = bytearray(stream(USUAL, K))
-    wire[4] ^= 1  # its counter
-    laser = pipeline()
-    rows, events = fed([bytes(wire)], laser)
-    assert [row[1] for row in rows] == (K[1:] % 2**18).tolist()
-    assert [event.kind for event in events] == ["damage"]
-
-
-def test_a_restart_is_found_however_small_the_reads_are() -> None:
-    data = stream(USUAL, K) + stream(USUAL, np.arange(5, 40))
-    for cut in (1, 12, 10_000):
-        rows, events = fed([data[i : i + cut] for i in range(0, len(data), cut)], pipeline())
-        assert len(rows) == len(K) + 35
-        assert [event.kind for event in events] == ["restart"]
-
-
 def test_an_endless_flow_of_answers_keeps_nothing() -> None:
     laser = pipeline()
     fed([stream(USUAL, K)], laser)

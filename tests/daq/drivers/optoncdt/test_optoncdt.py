@@ -1,10 +1,8 @@
 """optoNCDT: stream and text apart, any chunking, damage, scaling."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import example, given, strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as nc
@@ -28,11 +26,6 @@ def same(left, right):
     return np.array_equal(left[0], right[0]) and left[1:] == right[1:]
 
 
-def split(data, cuts):
-    edges = sorted({0, len(data), *(cut % (len(data) + 1) for cut in cuts)})
-    return [data[a:b] for a, b in pairwise(edges)]
-
-
 def test_known_bytes():
     assert nc.encode_block([[0x2A5F3, 0x3FFFF]]) == bytes([0x33, 0x57, 0xAA, 0x3F, 0x7F, 0xFF])
 
@@ -40,27 +33,6 @@ def test_known_bytes():
 @given(BLOCKS)
 def test_round_trip(blocks):
     assert same(decode([nc.encode_block(blocks)]), (blocks, [], 0))
-
-
-PIECES = st.lists(
-    st.one_of(
-        BLOCKS.map(nc.encode_block),
-        LINES.map(lambda line: line.encode() + b"\r\n"),
-        st.just(b"->"),
-        st.binary(max_size=30),
-    ),
-    max_size=6,
-)
-
-
-@given(PIECES, st.lists(st.integers(0, 1000), max_size=8))
-@example([b"AB", nc.encode_block(np.zeros((200, 4), np.uint32)), b"CD\n->"], [500])
-@example([nc.encode_block(np.zeros((20, 4), np.uint32)), b"\xff", nc.encode_block(np.zeros((200, 4), np.uint32))], [3])
-def test_any_split_gives_the_same(pieces, cuts):
-    data = b"".join(pieces)
-    whole = decode([data])
-    assert same(decode(split(data, cuts)), whole)
-    assert same(decode(data[i : i + 1] for i in range(len(data))), whole)
 
 
 @given(st.lists(LINES, max_size=5), BLOCKS)
@@ -98,15 +70,6 @@ def test_a_lost_byte_costs_its_block_only(blocks, data):
     assert len(values) >= len(rest) - 1
     assert all(row.tolist() in rest.tolist() for row in values)
     assert skipped <= 24
-
-
-@given(st.binary(max_size=500))
-def test_hostile_bytes_never_break_it(data):
-    decoder = nc.BlockDecoder(WORDS)
-    found = decoder.feed(data)
-    assert found.values.max(initial=0) < 2**18
-    assert found.values.nbytes // 16 * 12 + found.skipped_bytes + sum(map(len, found.text)) <= len(data)
-    assert all(line.isascii() and line.isprintable() for line in found.text)
 
 
 @given(BLOCKS)
