@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from daq.drivers.contract import Talk
 from daq.drivers.played import PlayedDevice
+from daq.drivers.sparing import EachSecond
 from daq.items import RX, TX, DeviceEvent
 from daq.transports.can_frames import CLOSE_BUS, AdapterMessage, CanFrame, Decoded, FrameDecoder, encode, opens_bus
 from rig_basics.texts import number_of
 
-_AGAIN_NS = 1_000_000_000
 _KEPT_FRAMES = 64  # sent frames with which a received command is compared
 _HEARTBEATS, _BOOT_UP = 0x700, b"\x00"  # identifiers of CANopen heartbeats, and the first one of a node
 
@@ -116,7 +116,7 @@ class OtherHost:
     def __init__(self, device: str) -> None:
         self._device = device
         self._sent: deque[CanFrame] = deque(maxlen=_KEPT_FRAMES)
-        self._reported_ns = -_AGAIN_NS
+        self._each_second = EachSecond()
 
     @property
     def replaced(self) -> bool:
@@ -129,9 +129,8 @@ class OtherHost:
 
     def received(self, frame: CanFrame, host_ns: int) -> list[DeviceEvent]:
         """Take a command to the device from the bus; return a fault each second if another node sends commands."""
-        if not self._sent or frame in self._sent or host_ns - self._reported_ns < _AGAIN_NS:
+        if not self._sent or frame in self._sent or not self._each_second.passes(host_ns):
             return []
-        self._reported_ns = host_ns
         text = (
             "another node on the bus commands this device: it would go on turning without its host. Find the node, or "
             "give the device another number"

@@ -44,6 +44,14 @@ class DeviceCheck:
 Checks = dict[str, DeviceCheck]
 
 
+def signal_check(strength_dBm: int | None, least_dBm: int, remedy: str) -> Checks:
+    """Return the check of a radio signal's strength; none if it is unknown."""
+    if strength_dBm is None:
+        return {}
+    weak = strength_dBm < least_dBm
+    return {"signal_dBm": DeviceCheck(strength_dBm, f"at least {least_dBm}", not weak, f"weak: {remedy}" * weak)}
+
+
 def at_most(value: float, bound: float, limit: float) -> bool | None:
     """Compare a value of limited certainty with a limit.
 

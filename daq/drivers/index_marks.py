@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from daq.drivers.sparing import EachSecond
 from daq.items import DeviceEvent
 from rig_basics.texts import number_of
 
@@ -24,7 +25,6 @@ NEIGHBOURS_RATIO = 1.25
 ratio √2 + 1, √3 − √2, …; from the third turn on, neighbours of a constant acceleration are nearer than this."""
 LOST_DEVIATION = 0.15
 """Deviation from a whole number of turns: that of the mean of two neighbours under `NEIGHBOURS_RATIO` is 0.12."""
-_AGAIN_NS = 1_000_000_000
 
 
 def lost_turns(before: float, between: float, after: float) -> int:
@@ -54,7 +54,8 @@ class MarkSequence:
         self._dropped = 0  # marks dropped since the counter started
         self._last: tuple[int, int] | None = None  # time, ns, and number of the newest mark
         self._turns: deque[tuple[int, float, int]] = deque(maxlen=3)  # time at the end, duration per turn, turns
-        self._bounces, self._bounce_ns, self._reported_ns = 0, 0, -_AGAIN_NS
+        self._bounces = self._bounce_ns = 0
+        self._each_second = EachSecond()
 
     def restart(self) -> None:
         """Begin again: the sensor's counter or clock has started again."""
@@ -97,10 +98,10 @@ class MarkSequence:
         """Count a bounce; return the event about those since the last one, at most one each second."""
         self._losses["doubled_marks"] = self._losses.get("doubled_marks", 0) + 1
         self._bounces, self._bounce_ns = self._bounces + 1, max(self._bounce_ns, passed)
-        if time_ns - self._reported_ns < _AGAIN_NS:
+        if not self._each_second.passes(time_ns):
             return []
         facts = {"doubled_marks": self._bounces, "span_s": self._bounce_ns * 1e-9, "time_ns": time_ns}
-        self._bounces, self._bounce_ns, self._reported_ns = 0, 0, time_ns
+        self._bounces = self._bounce_ns = 0
         text = (
             f"{number_of(int(facts['doubled_marks']), 'index mark')} came twice, the second one within "
             f"{facts['span_s'] * 1e3:.1f} ms: "

@@ -21,6 +21,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.objects import answer_text
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, PipelineStatus, SpeedControl
+from daq.drivers.sparing import EachSecond
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
@@ -32,8 +33,6 @@ from rig_drivers.cia406.sync_sender import SyncOrigin
 from rig_drivers.cia406.synchronous import NewestOfB, OwnTimer, SilentEncoders, SyncSchedule, SyncTimes, Values
 
 Items = Iterator[Batch | DeviceEvent]
-
-_AGAIN_NS = 1_000_000_000
 
 
 class EncoderPipeline(Pipeline):
@@ -96,7 +95,7 @@ class EncoderPipeline(Pipeline):
         self._next_number: int | None = None  # of the sample after the last one, without SYNC
         self._last_ns, self._period_ns = 0, period_ns
         self._origin, self._schedule, self._has_sent = SyncOrigin(), SyncSchedule(period_ns), False
-        self._foreign_ns = self._late_ns = self._pause_ns = -_AGAIN_NS
+        self._each_foreign, self._each_late, self._each_pause = EachSecond(), EachSecond(), EachSecond()
         self._paused = 0  # periods without a SYNC since they were last reported
         self._waiting: dict[str, tuple[int, int]] = {}  # raw positions and host times of encoders, see SyncTimes.holds
         self._taken = True  # whether the newest SYNC has its sample
@@ -165,8 +164,7 @@ class EncoderPipeline(Pipeline):
     def _foreign(self, host_ns: int) -> Items:
         """Count the SYNCs of other nodes, and report them once a second."""
         before, self.losses["foreign_syncs"] = self.losses["foreign_syncs"], self._origin.foreign
-        if self._origin.foreign > before and host_ns - self._foreign_ns > _AGAIN_NS:
-            self._foreign_ns = host_ns
+        if self._origin.foreign > before and self._each_foreign.passes(host_ns):
             text = "another node sends SYNC: the encoders sample at its instants too. Switch it off (1005h bit 30)"
             yield DeviceEvent("fault", self._device, text, {"foreign_syncs": self._origin.foreign})
 
@@ -207,8 +205,7 @@ class EncoderPipeline(Pipeline):
         skipped = self._schedule.sent(host_ns)
         self.losses["unsampled"] += skipped
         self._paused += skipped
-        if self._paused and host_ns - self._pause_ns > _AGAIN_NS:
-            self._pause_ns = host_ns
+        if self._paused and self._each_pause.passes(host_ns):
             yield from self._paused_for()
 
     def _paused_for(self) -> Items:
@@ -321,8 +318,7 @@ class EncoderPipeline(Pipeline):
         self.losses["late"] += 1
         self.losses["samples"] += 1
         self._lost += 1
-        if host_ns - self._late_ns > _AGAIN_NS:
-            self._late_ns = host_ns
+        if self._each_late.passes(host_ns):
             text = (
                 f"a SYNC was answered after {(host_ns - self._asked_ns) * 1e-6:.1f} ms, usually after "
                 f"{self._sync.usual_ns * 1e-6:.1f} ms, and the shaft had turned further: it left late, and its samples "

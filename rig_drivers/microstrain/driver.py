@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq import channels
 from daq.channels import Channel
-from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.checks import Checks, signal_check
 from daq.drivers.contract import Poller, SampleClock, SpeedControl
 from daq.drivers.driver import Driver, parts_of
 from daq.items import DeviceEvent
@@ -21,7 +21,6 @@ from rig_drivers.microstrain.settings import MicroStrainNode, quantity_channel
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
-_MIN_SIGNAL_DBM = -85
 _STATUS_ANSWER_S = 1.0
 _EXAMPLE = {  # potentiometers of ten turns: their output does not repeat
     "node_address": 307,
@@ -60,12 +59,7 @@ def _checks(
     settings: MicroStrainNode, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
 ) -> Checks:
     """Return the strength of the node's signal at the base station."""
-    strength = pipeline.base_rssi_dBm
-    if strength is None:
-        return {}
-    weak = strength < _MIN_SIGNAL_DBM
-    note = "weak: move the base station nearer" if weak else ""
-    return {"signal_dBm": DeviceCheck(strength, f"at least {_MIN_SIGNAL_DBM}", not weak, note)}
+    return signal_check(pipeline.base_rssi_dBm, -85, "move the base station nearer")
 
 
 _part = parts_of("rig_drivers.microstrain")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.contract import Pipeline, PipelineStatus
+from daq.drivers.sparing import Foreign
 from daq.items import TX, Batch, DeviceEvent
 from daq.numbered.messages import Count, Stretch
 from daq.numbered.stream import NumberedStream
@@ -31,7 +32,6 @@ BEACON_LAG = "beacon_lag_ns"
 """Key of the identity: host time minus the beacon's time at the opening, ns."""
 _LAG_VALID_NS = 60_000_000_000
 _START_NS = 5_000_000_000  # after it was switched on, a node that samples by itself has sent sweeps; unverified
-_MAX_FOREIGN_EVENTS = 16
 _CONTRADICTIONS = 3  # consecutive packets with other channels or another rate than the rig file's
 _WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
 _TICKS = 65_536
@@ -87,7 +87,7 @@ class MicroStrainPipeline(Pipeline):
         self._switched_on_ns: int | None = None  # host time, until samples of the node follow
         self._is_timed_by_arrival = False  # which was reported
         self._is_beacon_new = False  # the host has set the beacon after samples had come
-        self._foreign: set[int] = set()
+        self._foreign = Foreign(device)
         self._status_reported = self._is_off = False
 
     @property
@@ -155,11 +155,8 @@ class MicroStrainPipeline(Pipeline):
 
     def _foreign_packet(self, address: int) -> Items:
         self.losses["foreign_packets"] += 1
-        if address in self._foreign or len(self._foreign) >= _MAX_FOREIGN_EVENTS:
-            return []
-        self._foreign.add(address)
         text = f"packets of node {address} ignored: the rig file states node_address = {self._settings.node_address}"
-        return [DeviceEvent("foreign", self._device, text, {"node": address})]
+        return [*self._foreign.event(text, {"node": address})]
 
     # --- answers -------------------------------------------------------------------------------------------------
 

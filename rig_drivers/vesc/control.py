@@ -6,7 +6,6 @@ The controller has neither an enabled state nor a ramp of the rotor; see `Repeat
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from typing_extensions import override
 
@@ -29,31 +28,11 @@ _NO_ANSWER = f"{UNKNOWN} (no answer to {_MOST_UNANSWERED} polls)"
 _STEP_S = 0.01  # period at which the controller examines its timeout [its firmware], s
 
 
-class Commands(Protocol):
-    """Encoder of the commands for a line; see `wire`, which encodes them for a serial port."""
-
-    def get_values(self) -> bytes:
-        """See `wire`."""
-        ...
-
-    def set_rpm(self, erpm: int) -> bytes:
-        """See `wire`."""
-        ...
-
-    def set_brake(self, amperes: float) -> bytes:
-        """See `wire`."""
-        ...
-
-    def release(self) -> bytes:
-        """See `wire`."""
-        ...
-
-
 class VescControl(RepeatedCommand):
     """See RepeatedCommand.
 
     Args:
-        commands: encoder of the commands for the controller's line.
+        on_line: encodes a command, a packet of the serial port, for the controller's line.
     """
 
     def __init__(
@@ -62,9 +41,9 @@ class VescControl(RepeatedCommand):
         send: Callable[[bytes], None],
         clock: HostClock,
         guard: RotorGuard | None = None,
-        commands: Commands = wire,
+        on_line: Callable[[bytes], bytes] = bytes,
     ) -> None:
-        self._commands = commands
+        self._on_line = on_line
         super().__init__(settings, send, clock, guard, min_rpm=settings.min_rpm, beat_s=1.0 / settings.report_Hz)
         self._settings = settings
         self._report: wire.Values | None = None
@@ -137,17 +116,17 @@ class VescControl(RepeatedCommand):
                 self._fall(_NO_ANSWER)
         self._poll_due_ns = max(self._poll_due_ns + round(1e9 / self._settings.report_Hz), now_ns)
         self._polled_ns = now_ns
-        return self._commands.get_values()
+        return self._on_line(wire.get_values())
 
     @override
     def _order(self, rpm: float) -> bytes:
         if self.mode is Mode.FREE:
-            return self._commands.release()
+            return self._on_line(wire.release())
         # speed 0 is sent as a brake: below its least speed a controller releases, shorts or brakes the motor,
         # depending on its firmware
         if not rpm:
-            return self._commands.set_brake(self._settings.brake_A)
-        return self._commands.set_rpm(round(rpm * self._settings.pole_pairs))
+            return self._on_line(wire.set_brake(self._settings.brake_A))
+        return self._on_line(wire.set_rpm(round(rpm * self._settings.pole_pairs)))
 
     @override
     def _is_ready(self) -> bool:
@@ -225,7 +204,7 @@ class VescControl(RepeatedCommand):
             with self._deciding:
                 due = self._answers + (2 if self._polled_ns is not None else 1)  # an earlier poll may be unanswered
                 self._polled_ns = self._clock.now_ns()
-            self._send(self._commands.release() + self._commands.get_values())
+            self._send(self._on_line(wire.release()) + self._on_line(wire.get_values()))
         return lambda: self._answers >= due
 
     def _speed_words(self) -> str:
@@ -250,7 +229,7 @@ class VescControl(RepeatedCommand):
         if report.status is None:
             raise DeviceError("firmware before 5.3 does not report an expired timeout: measure it with a turning rotor")
         with self._sending:
-            self._send(self._commands.release())
+            self._send(self._on_line(wire.release()))
             sent_ns, sent_s = self._clock.now_ns(), self._clock.wall_s()
         obeyed = False
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from daq.drivers.can_lines import close_bus
@@ -30,10 +31,11 @@ def _checks(settings: VescCan, pipeline: Any, control: SpeedControl | None, even
 def _open(device: str, settings: VescCan, talk: Talk) -> dict[str, Any]:
     """Open the bus and query the controller; it is polled by its command (`control`)."""
     from rig_drivers.vesc.dialogue import identify
-    from rig_drivers.vesc_can.wire import CanCommands
+    from rig_drivers.vesc.wire import firmware_version
+    from rig_drivers.vesc_can.wire import on_bus
 
     talk.send(open_bus(settings.bitrate))
-    query = CanCommands(settings.controller_id, settings.host_id).firmware_version()
+    query = on_bus(firmware_version(), settings.controller_id, settings.host_id)
     advice = (
         f"Is the controller powered, its CAN mode VESC, are its number ({settings.controller_id}) and the bit rate "
         f"({settings.bitrate} bit/s) right, is the bus terminated?"
@@ -46,9 +48,10 @@ def _speed_source(
     settings: VescCan, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
 ) -> SpeedControl:
     from rig_drivers.vesc.control import VescControl
-    from rig_drivers.vesc_can.wire import CanCommands
+    from rig_drivers.vesc_can.wire import on_bus
 
-    return VescControl(settings, send, clock, guard, CanCommands(settings.controller_id, settings.host_id))
+    encode = partial(on_bus, controller_id=settings.controller_id, host_id=settings.host_id)
+    return VescControl(settings, send, clock, guard, encode)
 
 
 _part = parts_of("rig_drivers.vesc_can")

@@ -48,8 +48,6 @@ _QUERIES = frozenset({0, 4, 14, 15, 17, 18, 31, 32, 33, 47, 50, 51, 62, 65})
 _ANSWERED = 1  # second byte of the end of an answer
 _ANSWER = 0  # second byte of a query: answer to the sender on the bus
 _SIMPLE = {SET_CURRENT: vesc.SET_CURRENT, SET_BRAKE: vesc.SET_BRAKE, SET_RPM: vesc.SET_RPM}
-_MA = 1000.0  # currents in commands are in mA
-_I32 = 2**31
 
 
 def split(arbitration_id: int) -> tuple[int, int]:
@@ -62,49 +60,13 @@ def frame(command: int, number: int, data: bytes) -> CanFrame:
     return CanFrame(command << 8 | number, data, extended=True)
 
 
-def simple(command: int, number: int, value: int) -> CanFrame:
-    """Return the frame of a command with one number of 32 bits.
-
-    Raises:
-        ValueError: the value does not fit 32 bits.
-    """
-    if not -_I32 <= value < _I32:
-        raise ValueError(f"expected a number of 32 bits for command {command}, got {value}")
-    return frame(command, number, value.to_bytes(4, "big", signed=True))
-
-
-class CanCommands:
-    """Encoder of the commands for a controller on the bus; see `rig_drivers.vesc.wire` for their meaning.
-
-    Args:
-        controller_id, host_id: numbers of the controller and of this host.
-    """
-
-    def __init__(self, controller_id: int, host_id: int) -> None:
-        self._controller, self._host = controller_id, host_id
-
-    def _query(self, payload: bytes) -> bytes:
-        return encode(frame(SHORT, self._controller, bytes([self._host, _ANSWER]) + payload))
-
-    def firmware_version(self) -> bytes:
-        """Encode a query of firmware and hardware."""
-        return self._query(bytes([vesc.FIRMWARE_VERSION]))
-
-    def get_values(self) -> bytes:
-        """Encode a query of speed, fault and the other values."""
-        return self._query(bytes([vesc.GET_VALUES]))
-
-    def set_rpm(self, erpm: int) -> bytes:
-        """Encode the command to hold an electrical speed, rpm."""
-        return encode(simple(SET_RPM, self._controller, erpm))
-
-    def set_brake(self, amperes: float) -> bytes:
-        """Encode the command to brake with a motor current, A."""
-        return encode(simple(SET_BRAKE, self._controller, round(amperes * _MA)))
-
-    def release(self) -> bytes:
-        """Encode the command for no current."""
-        return encode(simple(SET_CURRENT, self._controller, 0))
+def on_bus(command: bytes, controller_id: int, host_id: int) -> bytes:
+    """Return the frame of a command to a controller or a query of it, given as a packet of the serial port."""
+    payload = command[2:-3]
+    commands = {serial: bus for bus, serial in _SIMPLE.items()}
+    if payload[0] in commands:
+        return encode(frame(commands[payload[0]], controller_id, payload[1:]))
+    return encode(frame(SHORT, controller_id, bytes([host_id, _ANSWER]) + payload))
 
 
 def payload_of(sent: CanFrame) -> bytes | None:

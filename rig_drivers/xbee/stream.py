@@ -9,6 +9,7 @@ from typing import Any
 from daq.drivers.contract import PipelineStatus
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
+from daq.drivers.sparing import Foreign
 from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.xbee import framing, wire
 from rig_drivers.xbee.settings import XBeeNode
@@ -17,7 +18,6 @@ _MAX_INDEX_ERROR_US = 100_000  # of a late block's time, from its index; a node'
 _LONG_US = 2**63  # longer than any node runs
 _NO_FRAME_NS = 2_000_000_000  # of bytes without an API frame, after which the module is in another mode …
 _NO_FRAME_BYTES = 2 * framing.MAX_FRAME_BYTES  # … if there are more than those of any frame
-_MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
 
 
 class XBeePipeline(NodePipeline):
@@ -41,7 +41,7 @@ class XBeePipeline(NodePipeline):
         self.rssi_dBm = known if type(known) is int else None
         self._address = wire.Address.parse(config.node_address)
         self._line = framing.ApiDecoder(escaped=config.api_mode == 2)
-        self._foreign: set[str] = set()
+        self._foreign = Foreign(device)
         self._set_up_lost = ""  # the next API frame, for example the answer of the module, resets it
         self._unframed_bytes, self._unframed_ns = 0, 0  # since the newest API frame: their number, time of the first
         self._unheard = ""  # why no sample has been decoded yet
@@ -105,7 +105,7 @@ class XBeePipeline(NodePipeline):
             case wire.AtAnswer():
                 return [self._answered(frame)]
             case wire.UnusedFrame(kind):
-                return self._foreign_event(f"a frame of type 0x{kind:02X} ignored", {"frame_type": kind})
+                return [*self._foreign.event(f"a frame of type 0x{kind:02X} ignored", {"frame_type": kind})]
 
     def _received(self, frame: wire.Received, host_ns: int) -> list[Batch | DeviceEvent]:
         if not frame.comes_from(self._address):
@@ -113,7 +113,7 @@ class XBeePipeline(NodePipeline):
             text = f"frames from {frame.source} ignored: the rig file states node_address = {self._address}"
             if self._heard_frames is None and (not self._unheard or _has_node_frame(frame.payload)):
                 self._unheard = text
-            return self._foreign_event(text, {"source": frame.source})
+            return [*self._foreign.event(text, {"source": frame.source})]
         if frame.rssi_dBm is not None:
             self.rssi_dBm = frame.rssi_dBm
         try:
@@ -151,13 +151,6 @@ class XBeePipeline(NodePipeline):
             return True
         due_us = self._next_us - (self._next_index - self._index(frame.first_index)) * frame.period_us
         return abs(self._node.unwrap(node_us) - due_us) <= _MAX_INDEX_ERROR_US
-
-    def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | DeviceEvent]:
-        """Return an event about a frame of another sender or type, once for each."""
-        if text in self._foreign or len(self._foreign) >= _MAX_FOREIGN_EVENTS:
-            return []
-        self._foreign.add(text)
-        return [DeviceEvent("foreign", self._device, text, facts)]
 
     def _answered(self, answer: wire.AtAnswer) -> DeviceEvent:
         if answer.command == "DB" and answer.status == 0 and any(answer.value):  # 0: no packet has been received yet

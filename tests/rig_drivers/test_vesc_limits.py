@@ -50,7 +50,7 @@ def extended(command: int, number: int, data: str = "") -> CanFrame:
 
 
 def set_rpm(erpm: int, number: int = 23) -> CanFrame:
-    return can.simple(can.SET_RPM, number, erpm)
+    return can.frame(can.SET_RPM, number, erpm.to_bytes(4, "big", signed=True))
 
 
 def status(erpm: int, number: int = 23) -> CanFrame:

@@ -13,11 +13,10 @@ from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.wire import profile_of
 from daq.drivers.contract import PipelineStatus
 from daq.drivers.motors import MotorPipeline
+from daq.drivers.sparing import EachSecond
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
-
-_AGAIN_NS = 1_000_000_000
 
 
 class DrivePipeline(MotorPipeline):
@@ -40,7 +39,7 @@ class DrivePipeline(MotorPipeline):
         self._node, self._host_node = config.node_id, config.host_node_id
         self._profile = profile_of(config)
         self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
-        self._reported_ns = -_AGAIN_NS
+        self._each_second = EachSecond()
         self._target_rpm = 0.0
         self._network: cia301.Heartbeat | None = None
         self._contact = FirstContact()
@@ -91,9 +90,8 @@ class DrivePipeline(MotorPipeline):
 
     def _second_host(self, host_ns: int) -> Iterator[DeviceEvent]:
         """Report each second that another node sends the host's heartbeat, as long as it does."""
-        if not self.host_beats.received(self.frames, host_ns) or host_ns - self._reported_ns < _AGAIN_NS:
+        if not self.host_beats.received(self.frames, host_ns) or not self._each_second.passes(host_ns):
             return
-        self._reported_ns = host_ns
         text = (
             f"another node sends this host's heartbeat (node {self._host_node}): the drive would go on turning without "
             "its host. Find the node with this number, or give the host another one (host_node_id)"

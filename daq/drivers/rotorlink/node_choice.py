@@ -7,6 +7,7 @@ unless the rig file states the node.
 from __future__ import annotations
 
 from daq.drivers.rotorlink.wire import EncoderBlock, NodeFrame, Skipped
+from daq.drivers.sparing import Foreign
 from daq.items import DeviceEvent
 
 _ASSUMED = 1  # by the locks, until an event names another number
@@ -30,7 +31,7 @@ class NodeChoice:
         self.complaint: str = ""
         self._device, self._stated = device, stated is not None
         self._sends_samples = self.node is not None
-        self._others = set[int]()
+        self._foreign_nodes = Foreign(device)
 
     def feed(self, frame: NodeFrame | Skipped) -> list[DeviceEvent]:
         """Take note of a frame's node; return an event for a choice, and one for each other node."""
@@ -43,7 +44,6 @@ class NodeChoice:
             return []
         if block and not self._sends_samples:
             before, self.node, self._sends_samples = self.node, frame.node, True
-            self._others.discard(frame.node)
             return [*self._chosen(before), *self._foreign(before)]
         if block and not self._stated and not self.complaint:
             numbers = sorted((self.node, frame.node))
@@ -62,8 +62,5 @@ class NodeChoice:
         return [DeviceEvent("acknowledge", self._device, text, {"node": self.node})]
 
     def _foreign(self, node: int) -> list[DeviceEvent]:
-        if node in self._others:
-            return []
-        self._others.add(node)
         text = f"frames of node {node} ignored: this rig's is node {self.node}"
-        return [DeviceEvent("foreign", self._device, text, {"node": node})]
+        return self._foreign_nodes.event(text, {"node": node})

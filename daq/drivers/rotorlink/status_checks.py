@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.checks import Checks, DeviceCheck, signal_check
 from daq.drivers.contract import Pipeline, SpeedControl
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.items import DeviceEvent
 from rig_configs.device import RotorNodeSettings
-
-_MIN_SIGNAL_DBM = -90
 
 
 def node_checks(
@@ -18,7 +16,7 @@ def node_checks(
 ) -> Checks:
     """Return the checks of the node's newest status and signal strength; see Driver.checks."""
     assert isinstance(pipeline, NodePipeline)
-    status, rssi_dBm = pipeline.node_status, pipeline.rssi_dBm
+    status = pipeline.node_status
     out: Checks = {}
     if status is None:
         out["status"] = DeviceCheck(None, "each second", False, "the node's status did not arrive; look at its radio")
@@ -35,8 +33,4 @@ def node_checks(
         out["overruns"] = DeviceCheck(
             status.overruns, None, True, "" if not status.overruns else "samples lost in the node"
         )
-    if rssi_dBm is not None:
-        weak = rssi_dBm < _MIN_SIGNAL_DBM
-        note = "weak: move the dongle nearer" if weak else ""
-        out["signal_dBm"] = DeviceCheck(rssi_dBm, f"at least {_MIN_SIGNAL_DBM}", not weak, note)
-    return out
+    return out | signal_check(pipeline.rssi_dBm, -90, "move the dongle nearer")
