@@ -14,7 +14,6 @@ from daq.drivers.plain import TICK_NS
 from daq.items import DeviceEvent
 from rig_drivers.labjack.settings import LabJack, other_channel
 
-_NUMBER_WRAP = 2**32
 _EXAMPLE = {
     "lasers": {"east": {"axis": "x", "input": "AIN0"}, "north": {"axis": "y", "input": "AIN1"}},
     "tacho": {"input": "AIN2"},
@@ -37,8 +36,7 @@ def _clocks(settings: LabJack) -> tuple[SampleClock, ...]:
     """Return the scans' clock, in the channels of the lasers."""
     rate, tolerance = settings.scan_rate_Hz, settings.clock_tolerance_ppm
     return tuple(
-        SampleClock(laser.topic, rate, tolerance, "device_ticks", TICK_NS, _NUMBER_WRAP)
-        for laser in settings.lasers.values()
+        SampleClock(laser.topic, rate, tolerance, "device_ticks", TICK_NS, 2**32) for laser in settings.lasers.values()
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rig_drivers.microstrain import wire
-from rig_drivers.microstrain.wire import HEAD_BYTES, MAX_PAYLOAD, STARTS, TAIL_BYTES, Packet, Version, packet_of
+from rig_drivers.microstrain.wire import LAYOUTS, MAX_PAYLOAD, Packet, Version, packet_of
 
 _MAX_FLAGS = 0x0F  # the high half of the flags is 0 in every packet
 
@@ -41,9 +41,10 @@ class PacketSearch:
 
     def __init__(self, version: Version) -> None:
         self._version: Version = version
-        self._confirmed = bytes((STARTS[version],)) * 2 if version == 1 else None
+        self._layout = LAYOUTS[version]
+        self._confirmed = bytes((self._layout.start,)) * 2 if version == 1 else None
         self._line = bytearray()
-        self._excused = HEAD_BYTES[version] + MAX_PAYLOAD + TAIL_BYTES[version]
+        self._excused = self._layout.head + MAX_PAYLOAD + self._layout.tail
 
     def feed(self, data: bytes) -> Line:
         """Decode the next bytes of the line."""
@@ -51,7 +52,7 @@ class PacketSearch:
         packets: list[Packet] = []
         skipped = 0
         while self._line:
-            start = self._line.find(STARTS[self._version])
+            start = self._line.find(self._layout.start)
             skipped += self._skip(len(self._line) if start < 0 else start)
             length = self._length()
             if length is None:
@@ -69,13 +70,13 @@ class PacketSearch:
 
     def _length(self) -> int | None:
         """Return the length of the packet that begins here; 0: none begins here, None: it is incomplete."""
-        line, head = self._line, HEAD_BYTES[self._version]
+        line, head = self._line, self._layout.head
         if len(line) > 1 and line[1] > _MAX_FLAGS:
             return 0
         if len(line) < head:
             return None
         payload = line[5] if self._version == 1 else int.from_bytes(line[7:9], "big")
-        length = head + payload + TAIL_BYTES[self._version]
+        length = head + payload + self._layout.tail
         if payload > MAX_PAYLOAD:
             return 0
         return length if len(line) >= length else None

@@ -35,9 +35,23 @@ from rig_drivers.microstrain.rates import BASE_ADDRESS
 
 Version = Literal[1, 3]
 
-STARTS: dict[Version, int] = {1: 0xAA, 3: 0xAC}
-HEAD_BYTES: dict[Version, int] = {1: 6, 3: 9}
-TAIL_BYTES: dict[Version, int] = {1: 4, 3: 6}
+
+class Layout(NamedTuple):
+    """Layout of the packets of a version.
+
+    Attributes:
+        start: first byte.
+        head, tail: bytes before and after the payload.
+        sweep_head: bytes of a payload with sweeps before the first sweep.
+    """
+
+    start: int
+    head: int
+    tail: int
+    sweep_head: int
+
+
+LAYOUTS: dict[Version, Layout] = {1: Layout(0xAA, 6, 4, 14), 3: Layout(0xAC, 9, 6, 18)}
 MAX_PAYLOAD = 255
 """Longest accepted payload, bytes: the limit of version 1; radio packets of nodes are shorter."""
 
@@ -99,7 +113,6 @@ _UNKNOWN_RSSI = 0x7F
 _MAX_MODE = 2
 _CHANNELS_RADIO = range(11, 27)  # numbers of the radio channels
 _MAX_TIME_NS = 2**62
-_HEADS: dict[Version, int] = {1: 14, 3: 18}  # bytes of a payload with sweeps before the first sweep
 
 
 def serial_number(model: int, option: int, high: int, low: int) -> str:
@@ -189,7 +202,7 @@ class Sweeps(NamedTuple):
 
 def packet_of(frame: bytes, version: Version) -> Packet | None:
     """Return the packet of a frame of the length that its head states; None if its check is wrong."""
-    head, tail = HEAD_BYTES[version], TAIL_BYTES[version]
+    _, head, tail, _ = LAYOUTS[version]
     if version == 1:
         expected, found = sum(frame[1:-4]) & 0xFFFF, int.from_bytes(frame[-2:], "big")
     else:
@@ -218,8 +231,8 @@ def request(version: Version, address: int, command: int, data: bytes = b"") -> 
     kind = BASE_COMMAND if to_base else NODE_COMMAND
     if version == 1:
         body = bytes((0x0E if to_base else 0x05, kind)) + address.to_bytes(2, "big") + bytes((len(payload),)) + payload
-        return bytes((STARTS[1],)) + body + (sum(body) & 0xFFFF).to_bytes(2, "big")
-    body = bytes((STARTS[3], 0x01 if to_base else 0x04, kind)) + address.to_bytes(4, "big")
+        return bytes((LAYOUTS[1].start,)) + body + (sum(body) & 0xFFFF).to_bytes(2, "big")
+    body = bytes((LAYOUTS[3].start, 0x01 if to_base else 0x04, kind)) + address.to_bytes(4, "big")
     body += len(payload).to_bytes(2, "big") + payload + bytes((_UNKNOWN_RSSI, _UNKNOWN_RSSI))
     return body + zlib.crc32(body).to_bytes(4, "big")
 
@@ -264,7 +277,7 @@ def parse_sweeps(payload: bytes, version: Version) -> Sweeps:
     Raises:
         ValueError: length, mode, data type, channels or time are impossible.
     """
-    head = _HEADS[version]
+    head = LAYOUTS[version].sweep_head
     if len(payload) <= head:
         raise ValueError(f"expected more than {number_of(head, 'byte')} of samples, got {len(payload)}")
     at = 0 if version == 1 else 4  # version 3 begins with four bytes that are not used here

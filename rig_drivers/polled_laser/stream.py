@@ -20,7 +20,6 @@ from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
 
-COUNTER_WRAP = 2**32
 LATEST_S = 0.5
 """Latest answer after its request, s. The host waits twice as long for it, so that it is not taken for the next one."""
 _REFUSALS = 3
@@ -199,6 +198,6 @@ class PolledPipeline(Pipeline):
             away = float("nan")
             self.losses["invalid"] += 1
         self._lost, self._last_ns = 0, time_ns
-        number, self._counter = self._counter % COUNTER_WRAP, self._counter + 1
+        number, self._counter = self._counter % 2**32, self._counter + 1
         at_ns = np.array([time_ns], np.int64)
         return displacement_batch(self._channel, at_ns, np.array([number]), at_ns, np.array([away]), np.array([code]))

@@ -23,8 +23,6 @@ from daq.numbered.look_ahead import LookAhead, Run
 from rig_basics.texts import number_of
 from rig_configs.device import RotorNodeSettings
 
-_WRAP = 2**32
-_NODES = 256
 _LOOK_AHEAD_NS = 1e9
 """Longest wait for a block that is sent again."""
 _MAX_STEP_BACK_US = 1_000_000  # a block that is older, and not marked as repeated, shows a restart of the node
@@ -73,7 +71,7 @@ class NodePipeline(Pipeline):
         return PipelineStatus(
             self.node_status is not None,
             self._choice.complaint or self._contradiction,
-            clock_seed=self._clock.seed(1000 * _WRAP),
+            clock_seed=self._clock.seed(1000 * 2**32),
             clock_std_ns=self._clock.std_ns,
             learned={} if self._choice.node is None else {"node": self._choice.node},
             heard_frames=self._heard_frames,
@@ -299,7 +297,7 @@ class NodePipeline(Pipeline):
     def _index(self, first: int) -> int:
         """Return the unwrapped index of a sample, whose index on the wire wraps at 2**32."""
         near = first if self._next_index is None else self._next_index
-        return first + _WRAP * round((near - first) / _WRAP)
+        return first + 2**32 * round((near - first) / 2**32)
 
     def _fell_back(self, block: rotorlink.EncoderBlock) -> bool:
         """Whether a block that is not marked as repeated contains old samples, which shows a restart of its node."""
@@ -373,6 +371,6 @@ class NodePipeline(Pipeline):
 def _node_of(identity: Mapping[str, Any]) -> int | None:
     """Return the number of the node in an identity, which earlier logs have chosen; None if it is missing."""
     node = identity.get("node")
-    if node is None or (type(node) is int and 0 <= node < _NODES):
+    if node is None or (type(node) is int and 0 <= node < 256):
         return node
-    raise DeviceError(f"identities.json: expected a node's number, 0 to {_NODES - 1}, got {node!r:.80}")
+    raise DeviceError(f"identities.json: expected a node's number, 0 to 255, got {node!r:.80}")

@@ -17,9 +17,11 @@ from daq.lockstep.rig import LockstepRig
 from daq.transports.can_frames import open_bus, opens_bus
 from rig_configs import load_rig
 from tests.daq.can_text import rx
-from tests.daq.drivers.cia402 import test_cia402_limits as drive
+from tests.daq.drivers.cia402 import test_cia402 as drive
 from tests.daq.drivers.cia402.test_drive_setup import MappedDrive
-from tests.rig_drivers import test_cia406 as encoders, test_microstrain as radio, test_vesc_can as vesc
+from tests.rig_drivers.cia406 import test_encoders as encoders
+from tests.rig_drivers.microstrain import test_node as radio
+from tests.rig_drivers.vesc_can import test_controller as vesc
 
 OPENING = open_bus(500_000)
 MS = 1_000_000

@@ -10,7 +10,7 @@ import pytest
 
 from daq.items import RX, TX
 from rig_drivers.cia406.sync_sender import SyncSender
-from tests.rig_drivers.test_cia406 import SYNC, Line, bench_of, report, settings
+from tests.rig_drivers.cia406.test_encoders import SYNC, Line, bench_of, report, settings
 
 ALL = report(3, 1), report(4, 1), report(5, 1)
 

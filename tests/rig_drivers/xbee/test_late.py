@@ -11,7 +11,7 @@ import pytest
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.sender import Sender
 from daq.items import RX, Batch, DeviceEvent
-from tests.rig_drivers.test_xbee_stream import START_NS, api, pipeline
+from tests.rig_drivers.xbee.test_stream import START_NS, api, pipeline
 
 BLOCK_MS, SAMPLES = 20, 5
 UP_MS = 60_000  # for which the node has run when the log begins

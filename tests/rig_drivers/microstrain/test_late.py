@@ -9,7 +9,7 @@ import pytest
 
 from daq.items import RX, Batch, DeviceEvent
 from rig_drivers.microstrain.stream import MicroStrainPipeline
-from tests.rig_drivers.test_microstrain import NODE, RATE_CODE, UTC_S, S, kinds, packet, pipeline, status, sweeps
+from tests.rig_drivers.microstrain.test_node import NODE, RATE_CODE, UTC_S, S, kinds, packet, pipeline, status, sweeps
 
 BASE = 0x1234
 PER = 16  # sweeps of a packet

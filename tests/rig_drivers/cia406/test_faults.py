@@ -21,7 +21,7 @@ from rig_drivers.cia406.stream import EncoderPipeline
 from rig_testing.bench import DriverBench
 from tests.daq.acquisition.test_device_check import healthy
 from tests.daq.can_text import rx, tx
-from tests.rig_drivers.test_cia406 import SYNC, Line, bench_of, identity, report, settings
+from tests.rig_drivers.cia406.test_encoders import SYNC, Line, bench_of, identity, report, settings
 
 
 def opened(**objects: tuple[int, int, int, str]) -> DriverBench:
