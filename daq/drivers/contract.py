@@ -140,11 +140,15 @@ class Pipeline(ABC):
         """What has been found about the device. Another thread may call `feed` meanwhile."""
         return PipelineStatus()
 
+    def damage(self, loss: str, text: str, count: int = 1, **facts: Any) -> DeviceEvent:
+        """Count what is dropped as damaged, a kind of `losses`, and return its event with the facts."""
+        self.losses[loss] += count
+        return DeviceEvent("damage", self._device, text, facts)
+
     def skipped_bytes(self, count: int, unit: str) -> DeviceEvent:
         """Count skipped bytes and return their event. `unit` is what they should be part of, for example "packet"."""
-        self.losses["bytes"] += count
         belong = number_of(count, "byte skipped that belongs", "bytes skipped that belong")
-        return DeviceEvent("damage", self._device, f"{belong} to no {unit}", {"bytes": count})
+        return self.damage("bytes", f"{belong} to no {unit}", count, bytes=count)
 
     def lost_samples(self, lost: int, span_s: float, **facts: Any) -> DeviceEvent:
         """Count missing samples; return their event.

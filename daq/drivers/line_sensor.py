@@ -199,8 +199,7 @@ class LinePipeline(Pipeline):
             elif found is not None:
                 out.append(DeviceEvent("reply", self._device, found))
             elif self._heard:  # the first line may have begun before the port was open
-                self.losses["damaged_lines"] += 1
-                out.append(DeviceEvent("damage", self._device, "a damaged line was dropped", {"lines": 1}))
+                out.append(self.damage("damaged_lines", "a damaged line was dropped", lines=1))
             self._heard = True
         if readings:
             numbers, times = (np.array([getattr(each, name) for each in readings]) for name in ("number", "time"))

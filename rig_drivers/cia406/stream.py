@@ -256,8 +256,7 @@ class EncoderPipeline(Pipeline):
         elif self._watches[name].restarted:
             wrong = "a position after it started again"
         if raw is None or wrong:
-            self.losses["invalid"] += 1
-            yield DeviceEvent("damage", self._device, f"{self._watches[name].name}: {wrong}; dropped", {"lines": 1})
+            yield self.damage("invalid", f"{self._watches[name].name}: {wrong}; dropped", lines=1)
         elif self._settings.sync:
             yield from self._synchronous(name, raw, host_ns)
         else:
@@ -287,9 +286,8 @@ class EncoderPipeline(Pipeline):
         self._waiting[name] = raw, host_ns
 
     def _unasked(self, name: str) -> DeviceEvent:
-        self.losses["unasked"] += 1
         text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
-        return DeviceEvent("damage", self._device, text, {"lines": 1})
+        return self.damage("unasked", text, lines=1)
 
     def _answer(self, name: str, instant: Instant, raw: int, host_ns: int) -> Items:
         """Take the answer of an encoder to the newest SYNC."""

@@ -162,9 +162,9 @@ class LabJackPipeline(Pipeline):
     def _stream(self, message: wire.Message, host_ns: int) -> Items:
         read = wire.parse_stream(message.body)
         if read is None:
-            self.losses["bytes"] += len(message.body)
-            text = f"the answer to a stream read has {number_of(len(message.body), 'byte')}, fewer than it states"
-            return [DeviceEvent("damage", self._device, text, {"bytes": len(message.body)})]
+            count = len(message.body)
+            text = f"the answer to a stream read has {number_of(count, 'byte')}, fewer than it states"
+            return [self.damage("bytes", text, count, bytes=count)]
         return [item for each in self._cutter.feed(message.number, read, host_ns) for item in self._decoded(each)]
 
     def _decoded(self, answer: CutAnswer) -> Items:

@@ -337,8 +337,7 @@ class MicroStrainPipeline(Pipeline):
         return [DeviceEvent("fault", self._device, self._complaint)]
 
     def _damaged(self, reason: str) -> DeviceEvent:
-        self.losses["damaged_packets"] += 1
-        return DeviceEvent("damage", self._device, f"packet dropped: {reason}", {"reason": reason})
+        return self.damage("damaged_packets", f"packet dropped: {reason}", reason=reason)
 
 
 class ContinuedAngle:

@@ -118,8 +118,7 @@ class ConverterPipeline(MotorPipeline):
     def _unexpected(self, count: int) -> Items:
         if not count or not self._asked_once:
             return []
-        self.losses["damaged_bytes"] += count
-        return [DeviceEvent("damage", self._device, f"{number_of(count, 'byte')} outside of answers", {"bytes": count})]
+        return [self.damage("damaged_bytes", f"{number_of(count, 'byte')} outside of answers", count, bytes=count)]
 
     def _sent(self, request: wire.Request, data: bytes, host_ns: int) -> Items:
         out: Items = []
@@ -162,9 +161,8 @@ class ConverterPipeline(MotorPipeline):
         if block not in self._blocks:
             return [reply, *self._restart(answer)]
         if host_ns - self._asked_ns > LATEST_S * 1e9:
-            self.losses["late"] += 1
             self._words.clear()
-            return [reply, DeviceEvent("damage", self._device, "an answer too late for a sample", {"samples": 1})]
+            return [reply, self.damage("late", "an answer too late for a sample", samples=1)]
         if block == self._blocks[0]:
             self._words.clear()
         self._words.update(enumerate(answer.registers, answer.request.register))

@@ -186,9 +186,8 @@ class OdrivePipeline(MotorPipeline):
         return [DeviceEvent("reply", self._device, text)]
 
     def _unreadable(self, what: str, data: bytes) -> list[DeviceEvent]:
-        self.losses["unreadable_frames"] += 1
         text = f"unreadable {what} of {number_of(len(data), 'byte')} dropped: {data.hex(' ')}"
-        return [DeviceEvent("damage", self._device, text, {"bytes": len(data)})]
+        return [self.damage("unreadable_frames", text, bytes=len(data))]
 
     # --- commands ---------------------------------------------------------------------------------------------
 

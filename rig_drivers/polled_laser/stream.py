@@ -124,9 +124,8 @@ class PolledPipeline(Pipeline):
         if self._asked_ns is None or host_ns - self._asked_ns > LATEST_S * 1e9:
             self._counter += self._asked_ns is not None
             self._asked_ns = None
-            self.losses["unasked"] += 1
             text = f"an answer too late, or without a request: {line[:40]!r}"
-            return [DeviceEvent("damage", self._device, text, {"lines": 1})]
+            return [self.damage("unasked", text, lines=1)]
         asked_ns, self._asked_ns = self._asked_ns, None
         reply = DeviceEvent("reply", self._device, line.decode("latin-1"))
         if isinstance(found, wire.Refusal):
@@ -151,10 +150,9 @@ class PolledPipeline(Pipeline):
         is_echo = line + b"\r" == self._request or (self._has_probed and line + b"\r" == self._probe)
         if not joined or is_echo:  # cut at its beginning, or the line's echo
             return []
-        self.losses["damaged_lines"] += 1
         if self._dialect.is_foreign(line, self._output):
             what = "of another sensor, or sent without a request"
-        out: Items = [DeviceEvent("damage", self._device, f"{what}: {line[:40]!r}", {"lines": 1})]
+        out: Items = [self.damage("damaged_lines", f"{what}: {line[:40]!r}", lines=1)]
         if not self._has_answered:  # the dialogue shows it to the operator
             out.append(DeviceEvent("reply", self._device, line[:40].decode("latin-1")))
         return out

@@ -174,12 +174,11 @@ class VescPipeline(MotorPipeline):
     def _report(self, payload: bytes, rows: list[tuple[int, int]]) -> list[DeviceEvent]:
         values = wire.parse_values(payload)
         if values is None:
-            self.losses["unreadable_answers"] += 1
             text = (
                 f"an answer of {number_of(len(payload), 'byte')}, expected at least {wire.VALUES_BYTES}: is its "
                 f"firmware too old?"
             )
-            return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
+            return [self.damage("unreadable_answers", text, bytes=len(payload))]
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
         actual_rpm = values.erpm / self._pole_pairs

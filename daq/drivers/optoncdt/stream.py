@@ -225,10 +225,9 @@ class LaserPipeline(Pipeline):
         dropped = self._true.damaged - self._damaged
         if dropped:
             self._damaged += dropped
-            self.losses["damaged"] += dropped
             what = "a sample" if dropped == 1 else f"{dropped} samples"
             text = f"{what} whose counter and timestamp do not fit {'was' if dropped == 1 else 'were'} dropped"
-            out.append(DeviceEvent("damage", self._device, text, {"damaged": dropped}))
+            out.append(self.damage("damaged", text, dropped, damaged=dropped))
 
     def _report_rate(self, out: Items) -> None:
         """Append an event if the measuring rate differs from the rate reported last."""

@@ -107,8 +107,7 @@ class NodePipeline(Pipeline):
 
     def damaged(self, reason: str) -> DeviceEvent:
         """Count a dropped frame; return the event with the reason."""
-        self.losses["damaged_frames"] += 1
-        return DeviceEvent("damage", self._device, f"frame dropped: {reason}", {"reason": reason})
+        return self.damage("damaged_frames", f"frame dropped: {reason}", reason=reason)
 
     def take(self, frames: Iterable[rotorlink.Frame], host_ns: int) -> list[Batch | DeviceEvent]:
         """Return the samples and events of intact frames.

@@ -41,15 +41,6 @@ def test_skipped_scans_advance_the_count_at_the_separator(counts: bool, lost: in
     assert ticks == [25 * number for number in numbers(made.items)]
 
 
-@pytest.mark.parametrize(("rate_Hz", "span_s", "text"), [(4000.0, 15.0, "15000.0 ms"), (3000.0, 20.0, "20000.0 ms")])
-def test_skipped_scans_have_their_exact_span(rate_Hz: float, span_s: float, text: str) -> None:
-    made = Reads(scan_rate_Hz=rate_Hz)
-    (gap,) = events(made.answer(GOOD * 2 + EMPTY + GOOD, status=2941, info=60_000))
-    assert gap.text == f"60000 scans skipped by the device, whose buffer was full ({text})"
-    assert gap.facts == {"samples": 60_000, "span_s": pytest.approx(span_s, rel=1e-11)}
-    assert last_ns(made.items) == START + 1  # the scans before the separator have an unknown age, and no later time
-
-
 @pytest.mark.parametrize(
     ("first", "second", "found"),
     [

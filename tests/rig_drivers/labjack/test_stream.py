@@ -70,14 +70,6 @@ def test_displacement_is_the_share_of_the_output_in_the_range() -> None:
     assert made.lost == {"invalid": 2}
 
 
-def test_an_output_half_a_percent_beyond_its_ends_is_a_reading() -> None:
-    made = Reads(scale("AIN0"), lasers={"east": {"axis": "x", "input": "AIN0", "far_V": 1.0, "range_m": 0.1}})
-    (batch,) = batches(made.answer([97, 98, 100, 600, 1101, 1103, 0xFFFF]))
-    found = batch.columns["displacement_m"]
-    assert np.isnan(found).tolist() == [True, False, False, False, False, True, True]
-    assert found[1:5] == pytest.approx([-0.0502, -0.05, 0, 0.0501])
-
-
 def test_other_quantities_have_a_voltage_of_their_zero() -> None:
     other = {"input": "AIN3", "quantity": "force_N", "per_V": 3.0, "zero_V": 0.5}
     (batch,) = batches(Reads(scale("AIN3"), lasers={}, others={"f": other}).answer([600, 1100]), "analogue/f")
@@ -387,32 +379,6 @@ def test_times_increase_when_a_stream_that_was_too_fast_is_started_again() -> No
 
 
 # --- the clock --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("rate_Hz", "step_ns", "after", "scans"),
-    [
-        (4000.0, -19_999_999, 1, None),
-        (4000.0, -20_000_000, 1, -80),
-        (10.0, -20_000_000, 1, 0),
-        (40.0, 25_000_000, 60, 1),
-        (4000.0, S, 300, 4000),
-    ],
-)
-def test_a_step_of_the_clock_is_reported_from_20_ms_on(
-    rate_Hz: float, step_ns: int, after: int, scans: int | None
-) -> None:
-    """A step forward may be scans that are missing without a report."""
-    made = Reads(scan_rate_Hz=rate_Hz)
-    count = 40 if rate_Hz > 1000 else 1
-    made.answers(40, count, round(count * S / rate_Hz))
-    made.now_ns += step_ns
-    found = events(made.answers(after, count, round(count * S / rate_Hz)))
-    steps = [{"step_s": pytest.approx(step_ns / S, abs=1e-5), "scans": scans}] * (scans is not None)
-    assert [event.facts for event in found] == steps
-    for event in found:
-        assert event.kind == "clock"
-        assert ("another program reads the stream" in event.text) == (step_ns > 0)
 
 
 def test_a_stream_that_has_stopped_with_an_error_still_corrects_its_clock() -> None:

@@ -373,22 +373,6 @@ def test_a_line_that_is_lost_is_reported(bench: Bench) -> None:
         bench.drive.stop()
 
 
-def test_the_simulated_converter_refuses_what_it_does_not_have(bench: Bench) -> None:
-    for request, exception in (
-        (wire.Request(1, 4, 0x2100, 1), 1),
-        (wire.Request(1, 3, 0x9999, 1), 2),
-        (wire.Request(1, 3, 0x2100, 17), 3),
-        (wire.Request(1, 6, 0x2100, 1, (1,)), 2),
-        (wire.Request(1, 6, 0x2000, 1, (0x55,)), 3),
-    ):
-        (order,) = bench.drive._line.put([request])
-        bench.clock.wait(0.3)
-        assert order.answer is not None
-        assert order.answer.exception == exception
-    values: dict[str, Any] = dict(bench.converter.facts())
-    assert values["collisions"] == 0
-
-
 # --- bad days ----------------------------------------------------------------------------------------------------
 
 

@@ -145,18 +145,6 @@ def test_bytes_around_an_answer_are_counted() -> None:
     assert not line.pipeline.echoes
 
 
-def test_as_many_bytes_as_two_frames_have_wait_for_an_answer() -> None:
-    line = Line()
-    line.ask()
-    line.hear(b"\xff" * 512)
-    assert line.items == []
-    line.hear(b"\xff")
-    assert [facts["bytes"] for _, facts in line.events("damage")] == [1]
-    line.hear(report())
-    assert line.lost() == {"damaged_bytes": 513}
-    assert line.column() == [300]
-
-
 def test_a_refusal_is_reported_once_until_it_changes() -> None:
     line = Line()
     for _ in range(3):
@@ -169,19 +157,6 @@ def test_a_refusal_is_reported_once_until_it_changes() -> None:
         "it refuses writing 9 to register 8193: exception 3: the value is not allowed",
     ]
     assert line.lost() == {"refused": 4}
-
-
-def test_a_refusal_of_every_register_is_reported_once_until_it_is_read() -> None:
-    line = Line(table="invt", baud=38_400)
-    for _ in range(3):
-        for asked in ("01 03 21 00 00 03", "01 03 30 00 00 01"):
-            line.ask(frame(asked))
-            line.hear(frame("01 83 06"))
-    assert line.kinds() == ["refused"] * 2
-    line.read(0x3000, 0)
-    line.ask(frame("01 03 30 00 00 01"))
-    line.hear(frame("01 83 06"))
-    assert line.kinds() == ["refused"] * 3
 
 
 # --- an adapter that returns requests --------------------------------------------------------------------------------

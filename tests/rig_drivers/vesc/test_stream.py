@@ -286,14 +286,6 @@ def test_each_new_fault_and_the_end_of_faults_are_one_event() -> None:
     assert [text for _, text, _ in event_facts(found, "drive")] == [*("NOT COMMANDED", "FAULT") * 2, "NOT COMMANDED"]
 
 
-def test_a_restart_is_one_event_also_in_a_read_with_damage() -> None:
-    line = serial()
-    line.feed(RX, answer_of(), 0)
-    found = line.feed(RX, b"\xff" + answer_of(replace(TURNS, turned=7)) * 2, 0)
-    words = "the controller started again: its counters are smaller than before"
-    assert event_facts(found, "restart") == [("restart", words, {"turned": 7})]
-
-
 def test_commands_between_two_polls_do_not_answer_the_first() -> None:
     for command in (wire.set_rpm(700), wire.set_brake(1.0), wire.firmware_version(), wire.alive()):
         line = serial()
