@@ -116,18 +116,18 @@ class OdriveControl(RepeatedCommand):
         if not self._ask_errors:
             return b""
         self._ask_errors = False
-        return _text(*wire.error_requests(self._settings.node_id, self._settings.firmware))
+        return encode(*wire.error_requests(self._settings.node_id, self._settings.firmware))
 
     @override
     def _order(self, rpm: float) -> bytes:
         node = self._settings.node_id
         if self.mode is Mode.FREE:
-            return _text(wire.set_state(node, wire.IDLE))
+            return encode(wire.set_state(node, wire.IDLE))
         velocity = wire.set_velocity(node, self._settings.turns_per_s(rpm))
         if self.mode is Mode.BRAKE:
             frames = [velocity, wire.set_velocity_mode(node)]  # another host may have used another mode
-            return _text(*frames, *([wire.estop(node)] if self._brakes_in_vain() else []))
-        return _text(velocity) if self._armed else _text(velocity, *self._closed_loop())
+            return encode(*frames, *([wire.estop(node)] if self._brakes_in_vain() else []))
+        return encode(velocity) if self._armed else encode(velocity, *self._closed_loop())
 
     def _closed_loop(self) -> list[CanFrame]:
         """Return the frames that request closed-loop control, unless it is reported or was just requested."""
@@ -193,7 +193,7 @@ class OdriveControl(RepeatedCommand):
         if beat is None or beat.state != wire.IDLE or beat.error & ~watchdog or not self._guarded.at_rest():
             raise DeviceError(f"the rotor must stand and the axis be idle without a fault, it is in {self.state}")
         with self._sending:
-            self._send(_text(wire.clear_errors(s.node_id)))
+            self._send(encode(wire.clear_errors(s.node_id)))
             fed_ns, fed_s = self._clock.now_ns(), self._clock.wall_s()
 
         def expired() -> bool:  # an earlier heartbeat may have been sent before the error was cleared
@@ -207,14 +207,10 @@ class OdriveControl(RepeatedCommand):
         """Send the command to release the rotor; a later heartbeat in the state IDLE confirms it."""
         with self._sending:
             sent_ns = self._clock.now_ns()
-            self._send(_text(wire.set_state(self._settings.node_id, wire.IDLE)))
+            self._send(encode(wire.set_state(self._settings.node_id, wire.IDLE)))
 
         def confirmed() -> bool:
             beat = self._beat
             return beat is not None and self._beat_ns > sent_ns and beat.state == wire.IDLE
 
         return confirmed
-
-
-def _text(*frames: CanFrame) -> bytes:
-    return encode(*(frame for frame in frames))

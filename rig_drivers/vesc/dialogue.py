@@ -50,13 +50,7 @@ def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice:
                 f"{device}: firmware {firmware.major}.{firmware.minor:02d} answers in an unknown layout, "
                 f"expected {_MIN_MAJOR}.00 or later. Update the controller's firmware"
             )
-        return {
-            "firmware": f"{firmware.major}.{firmware.minor:02d}",
-            "hardware": firmware.hardware,
-            "serial": firmware.serial,
-            "pole_pairs": settings.pole_pairs,
-            "timeout_s": settings.timeout_s,
-        }
+        return {**firmware.facts, "pole_pairs": settings.pole_pairs, "timeout_s": settings.timeout_s}
     came = f"{number_of(talk.bytes_in, 'byte')} came, none of them an answer" if talk.bytes_in else "nothing came"
     also = f", but {', '.join(heard)}" if heard else ""
     raise DeviceError(
@@ -74,12 +68,7 @@ def identity_turns(settings: Vesc) -> IdentityTurns:
     firmware = _firmware((yield request))
     if firmware is None:
         return None
-    identity = {
-        "firmware": f"{firmware.major}.{firmware.minor:02d}",
-        "hardware": firmware.hardware,
-        "serial": firmware.serial,
-    }
-    return FoundDevice({"baud": settings.baud}, identity)
+    return FoundDevice({"baud": settings.baud}, firmware.facts)
 
 
 def _firmware(data: bytes) -> wire.Firmware | None:

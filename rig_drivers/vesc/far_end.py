@@ -31,13 +31,10 @@ class SimulatedVesc(SimulatedMotor):
     Args:
         settings: table of the controller in the rig file; the simulated controller has these values.
         motion: motion of the rotor.
-        report_s: unused; a controller sends only answers.
         timeout_s: timeout of the controller, s; None: that of the settings.
         timeout_brake_A: brake current after the timeout, A; None: that of the host's own stop. The manufacturer's
             default is 0; then the rotor runs down.
         has_status: whether the firmware sends the status byte.
-
-    Attributes:
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
@@ -53,7 +50,6 @@ class SimulatedVesc(SimulatedMotor):
         self,
         settings: VescMotor,
         motion: SimulatedMotion,
-        report_s: float = 0.0,
         *,
         timeout_s: float | None = None,
         timeout_brake_A: float | None = None,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
+
+from typing_extensions import override
 
 from daq.drivers.following import Following, SlowingDown
 from daq.drivers.motors import MotorPipeline
@@ -42,8 +45,12 @@ def state(word: int) -> str:
     return {NOTHING: "NOT COMMANDED", SPEED: "HOLDS SPEED", BRAKE: "BRAKES", FREE: "RELEASED"}[word >> 8 & 3]
 
 
-class VescLine(Protocol):
+class VescLine(ABC):
     """The line of a controller: framing of the payloads in both directions.
+
+    Args:
+        device: name of the device in the rig file.
+        losses: losses of the pipeline.
 
     Attributes:
         speeds_erpm: electrical speeds, rpm, that the last `received` contained in addition to answers, each after the
@@ -51,30 +58,30 @@ class VescLine(Protocol):
         others: payloads of another host in the last `received`, in a session that only receives.
     """
 
-    speeds_erpm: list[tuple[int, int]]
-    others: list[bytes]
-
-    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
-        """Return the payloads in the bytes of one read, and events of the line."""
-        ...
-
-    def sent(self, data: bytes) -> list[bytes]:
-        """Return the payloads in the bytes of one write."""
-        ...
-
-
-class SerialLine:
-    """See VescLine: packets on a serial port. Bytes outside intact packets are counted as `damaged_bytes`."""
-
     def __init__(self, device: str, losses: dict[str, int]) -> None:
         self.speeds_erpm: list[tuple[int, int]] = []
         self.others: list[bytes] = []
         self._device, self._losses = device, losses
+
+    @abstractmethod
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """Return the payloads in the bytes of one read, and events of the line."""
+
+    @abstractmethod
+    def sent(self, data: bytes) -> list[bytes]:
+        """Return the payloads in the bytes of one write."""
+
+
+class SerialLine(VescLine):
+    """Packets on a serial port. Bytes outside intact packets are counted as `damaged_bytes`."""
+
+    def __init__(self, device: str, losses: dict[str, int]) -> None:
+        super().__init__(device, losses)
         losses["damaged_bytes"] = 0
         self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
 
+    @override
     def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
-        """See VescLine."""
         found = self._rx.feed(data)
         if not found.skipped:
             return found.payloads, []
@@ -82,8 +89,8 @@ class SerialLine:
         text = f"{number_of(found.skipped, 'damaged byte')} dropped"
         return found.payloads, [DeviceEvent("damage", self._device, text, {"bytes": found.skipped})]
 
+    @override
     def sent(self, data: bytes) -> list[bytes]:
-        """See VescLine."""
         return self._tx.feed(data).payloads
 
 
@@ -160,15 +167,7 @@ class VescPipeline(MotorPipeline):
 
     def _identity(self, payload: bytes) -> DeviceEvent:
         firmware = wire.parse_firmware(payload)
-        facts = (
-            {}
-            if firmware is None
-            else {
-                "firmware": f"{firmware.major}.{firmware.minor:02d}",
-                "hardware": firmware.hardware,
-                "serial": firmware.serial,
-            }
-        )
+        facts = {} if firmware is None else firmware.facts
         return DeviceEvent("reply", self._device, payload.hex(), facts)
 
     def _report(self, payload: bytes, rows: list[tuple[int, int]]) -> list[DeviceEvent]:

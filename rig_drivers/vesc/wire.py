@@ -209,6 +209,12 @@ class Firmware:
     hardware: str
     serial: str
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """The identification as an identity has it."""
+        version = f"{self.major}.{self.minor:02d}"
+        return {"firmware": version, "hardware": self.hardware, "serial": self.serial}
+
 
 def parse_firmware(payload: bytes) -> Firmware | None:
     """Parse the answer to FIRMWARE_VERSION; None if it has no hardware name, as from very old firmware."""

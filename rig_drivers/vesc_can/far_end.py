@@ -31,10 +31,10 @@ class SimulatedVescCan(SimulatedVesc):
         "second host": FaultKind("another node on the bus commands the controller"),
     }
 
-    def __init__(self, settings: VescCan, motion: SimulatedMotion, report_s: float = 0.0, **far: Any) -> None:
+    def __init__(self, settings: VescCan, motion: SimulatedMotion, **far: Any) -> None:
         self._bus, self._adapter = settings, Adapter()
         self._statuses = Periodic()
-        super().__init__(settings, motion, report_s, **far)
+        super().__init__(settings, motion, **far)
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """See FarEnd."""

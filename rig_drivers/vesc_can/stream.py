@@ -6,7 +6,10 @@ Status messages of a VESC on a CAN bus: their rate, and their absence while the 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
+
+from typing_extensions import override
 
 from daq.drivers.can_lines import CanLines, FirstContact, OtherHost
 from daq.drivers.checks import DeviceCheck
@@ -14,7 +17,7 @@ from daq.items import DeviceEvent
 from daq.transports.can_frames import CanFrame
 from rig_basics.texts import number_of
 from rig_drivers.vesc import wire as vesc
-from rig_drivers.vesc.stream import VescPipeline
+from rig_drivers.vesc.stream import VescLine, VescPipeline
 from rig_drivers.vesc_can import wire
 from rig_drivers.vesc_can.settings import VescCan
 
@@ -99,8 +102,8 @@ _TO_HOST = (wire.FILL, wire.FILL_LONG, wire.PROCESS, wire.SHORT)
 _FIRMWARE = bytes([vesc.FIRMWARE_VERSION])
 
 
-class CanLine:
-    """See VescLine. Damaged answers are counted as `damaged_answers`, status messages of a wrong length too.
+class CanLine(VescLine):
+    """Frames on a bus. Damaged answers are counted as `damaged_answers`, status messages of a wrong length too.
 
     Args:
         device: name of the device in the rig file.
@@ -112,9 +115,8 @@ class CanLine:
     """
 
     def __init__(self, device: str, losses: dict[str, int], settings: VescCan) -> None:
-        self.speeds_erpm: list[tuple[int, int]] = []
-        self.others: list[bytes] = []
-        self._device, self._losses, self._settings = device, losses, settings
+        super().__init__(device, losses)
+        self._settings = settings
         self._number = settings.controller_id
         self._lines, self._other_host = CanLines(device, losses), OtherHost(device)
         self._contact = FirstContact()
@@ -125,8 +127,8 @@ class CanLine:
         losses["damaged_answers"] = 0
         self.status_watch: StatusWatch = StatusWatch(device, losses, settings)
 
+    @override
     def sent(self, data: bytes) -> list[bytes]:
-        """See VescLine."""
         out: list[bytes] = []
         self._contact.sent(data)
         for frame in self._lines.sent(data):
@@ -136,8 +138,8 @@ class CanLine:
         self._asks_firmware |= _FIRMWARE in out
         return out
 
+    @override
     def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
-        """See VescLine."""
         self.speeds_erpm, self.others = [], []
         frames, events = self._lines.received(data)
         payloads: list[bytes] = []
@@ -217,11 +219,6 @@ class VescCanPipeline(VescPipeline):
     """
 
     def __init__(self, device: str, settings: VescCan, identity: Mapping[str, Any]) -> None:
-        lines: list[CanLine] = []
-
-        def line(name: str, losses: dict[str, int]) -> CanLine:
-            lines.append(CanLine(name, losses, settings))
-            return lines[0]
-
-        super().__init__(device, settings, identity, line)
-        self.status_watch: StatusWatch = lines[0].status_watch
+        super().__init__(device, settings, identity, partial(CanLine, settings=settings))
+        assert isinstance(self._line, CanLine)
+        self.status_watch: StatusWatch = self._line.status_watch

@@ -448,7 +448,7 @@ NO_LOSSES = dict.fromkeys(
 
 
 def pipeline_without(*without: str, identity: dict[str, Any] | None = None, **changes: Any) -> CanPipeline:
-    """The example's pipeline_without without some of its tables."""
+    """The example's pipeline without some of its tables."""
     table: dict[str, Any] = {"driver": "dbc", "port": "p", **copy.deepcopy(SETTINGS), **changes}
     settings = CanSensors.model_validate({key: value for key, value in table.items() if key not in without})
     found = DRIVER.pipeline("bus", settings, identity or {})

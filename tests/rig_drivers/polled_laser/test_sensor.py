@@ -396,10 +396,6 @@ _USUAL_S = 0.008
 _RATE_M_PER_S = 1e-4  # of the measured displacement
 
 
-def sensor_of(**settings: Any) -> PolledLaser:
-    return PolledLaser.model_validate({"driver": "polled_laser", "port": "p", "axis": "x", **settings})
-
-
 def pipeline_of(settings: PolledLaser) -> Pipeline:
     return DRIVER.pipeline("gauge", settings, {})
 
@@ -413,10 +409,10 @@ def texts_of(items: list[Batch | DeviceEvent]) -> list[str]:
 
 
 class Line:
-    """A sensor_of that answers in order, whose value is the time of its measurement, and the host's side of its line.
+    """A sensor that answers in order, whose value is the time of its measurement, and the host's side of its line.
 
     Args:
-        settings: of the sensor_of.
+        settings: of the sensor.
         delay_s: returns the time from a request with this number to its answer; None: it does not answer.
     """
 
@@ -478,7 +474,7 @@ DIALECTS = [{"dialect": name, "baud": 115_200} for name in sorted(wire.DIALECTS)
 
 @pytest.mark.parametrize("settings", DIALECTS, ids=lambda each: each["dialect"])
 def test_every_value_of_a_healthy_sensor_is_recorded(settings: dict[str, Any]) -> None:
-    line = Line(sensor_of(**settings), lambda number: _USUAL_S)
+    line = Line(sensor(**settings), lambda number: _USUAL_S)
     line.run(4.0)
     check_times(line, 195)
     assert sum(line.pipeline.losses.values()) == 0
@@ -488,7 +484,7 @@ def test_every_value_of_a_healthy_sensor_is_recorded(settings: dict[str, Any]) -
 @pytest.mark.parametrize("settings", DIALECTS, ids=lambda each: each["dialect"])
 def test_a_late_answer_does_not_become_the_next_ones_value(settings: dict[str, Any], late_s: float) -> None:
     """The line, or the converter to a network, holds everything back for a while."""
-    line = Line(sensor_of(**settings), lambda number: late_s if number in (50, 120) else _USUAL_S)
+    line = Line(sensor(**settings), lambda number: late_s if number in (50, 120) else _USUAL_S)
     line.run(22.0)
     check_times(line, 200)
     assert line.pipeline.losses["unasked"] == 2
@@ -496,7 +492,7 @@ def test_a_late_answer_does_not_become_the_next_ones_value(settings: dict[str, A
 
 @pytest.mark.parametrize("settings", DIALECTS, ids=lambda each: each["dialect"])
 def test_lost_answers_are_counted_and_shift_nothing(settings: dict[str, Any]) -> None:
-    line = Line(sensor_of(**settings), lambda number: None if number in (50, 90, 91, 130) else _USUAL_S)
+    line = Line(sensor(**settings), lambda number: None if number in (50, 90, 91, 130) else _USUAL_S)
     line.run(8.0)
     check_times(line, 130)
     assert line.pipeline.losses["samples"] == 4
@@ -513,7 +509,7 @@ UNASKED = {
 @pytest.mark.parametrize("name", sorted(UNASKED))
 def test_lines_that_are_sent_unasked_or_to_others_release_no_request(name: str) -> None:
     """They come between a request and its answer."""
-    line = Line(sensor_of(dialect=name, baud=115_200), lambda number: _USUAL_S)
+    line = Line(sensor(dialect=name, baud=115_200), lambda number: _USUAL_S)
     for number, text in enumerate(UNASKED[name] * 20):
         line.clock.after(0.1 + 0.0237 * number, lambda text=text: line.receive(text))
     line.run(4.0)
@@ -525,8 +521,8 @@ def test_lines_that_are_sent_unasked_or_to_others_release_no_request(name: str) 
 
 @pytest.mark.parametrize("settings", DIALECTS, ids=lambda each: each["dialect"])
 def test_noise_before_an_answer_shifts_no_value(settings: dict[str, Any]) -> None:
-    """Each disturbance costs one value, and the time of one answer. The sensor_of is slower than its period."""
-    line = Line(sensor_of(**settings), lambda number: 0.03)
+    """Each disturbance costs one value, and the time of one answer. The sensor is slower than its period."""
+    line = Line(sensor(**settings), lambda number: 0.03)
     for number in range(10):
         line.clock.after(0.1043 + 0.2 * number, lambda: line.receive(b"\x81?\r"))
     line.run(4.0)
@@ -535,7 +531,7 @@ def test_noise_before_an_answer_shifts_no_value(settings: dict[str, Any]) -> Non
 
 
 def test_a_sensor_that_answers_no_probe_is_polled_without() -> None:
-    line = Line(sensor_of(dialect="LK-G"), lambda number: None if number in (0, 1) else _USUAL_S)
+    line = Line(sensor(dialect="LK-G"), lambda number: None if number in (0, 1) else _USUAL_S)
     line.run(6.0)
     check_times(line, 190)
     assert sum(line.pipeline.losses.values()) == 0
@@ -551,7 +547,7 @@ def test_a_sensor_that_answers_no_probe_is_polled_without() -> None:
     ("HL-G1", b"%01#ROA**\r", [b"%01$ROA+00000**\r", b"%01$ROA+0000141\r", b"%01!01**\r"]),
 ])  # fmt: skip
 def test_the_probe_s_answer_ends_the_doubt_and_is_no_sample(name: str, probe: bytes, answers: list[bytes]) -> None:
-    settings = sensor_of(dialect=name, baud=115_200)
+    settings = sensor(dialect=name, baud=115_200)
     value = wire.DIALECTS[name].request(settings.output)
     for answer in answers:
         turns, decoder = Turns(wire.DIALECTS[name], settings.output), pipeline_of(settings)
@@ -565,7 +561,7 @@ def test_the_probe_s_answer_ends_the_doubt_and_is_no_sample(name: str, probe: by
 
 
 def test_a_value_between_a_probe_and_its_answer_has_no_known_time() -> None:
-    settings = sensor_of(dialect="LK-G")
+    settings = sensor(dialect="LK-G")
     turns, decoder = Turns(wire.DIALECTS["LK-G"], 1), pipeline_of(settings)
     talk: list[bytes] = []
     for number, answers in enumerate([b"M2,+00.0000\r", b"", b"M1,+01.0000\rM2,+00.0000\r", b"M1,+02.0000\r"]):
@@ -580,7 +576,7 @@ def test_a_value_between_a_probe_and_its_answer_has_no_known_time() -> None:
 
 
 def test_while_a_sensor_is_silent_each_probe_without_an_answer_is_a_lost_sample() -> None:
-    line = Line(sensor_of(dialect="LK-G"), lambda number: None if 50 <= number < 54 else _USUAL_S)
+    line = Line(sensor(dialect="LK-G"), lambda number: None if 50 <= number < 54 else _USUAL_S)
     line.run(10.0)
     assert line.pipeline.losses["samples"] == 4
     numbers = [int(item.sequence[0]) for item in line.items if isinstance(item, Batch)]
@@ -605,7 +601,7 @@ def asked_of(decoder: Pipeline, request: bytes, answer: bytes, at_ms: int) -> li
 ])  # fmt: skip
 def test_an_answer_without_a_reading_has_a_code(dialect: str, answer: bytes, code: int) -> None:
     """Also one whose number lies within the range of the rig file."""
-    settings = sensor_of(dialect=dialect, baud=115_200, range_m=1.0)
+    settings = sensor(dialect=dialect, baud=115_200, range_m=1.0)
     (batch,) = [
         item
         for item in asked_of(pipeline_of(settings), wire.DIALECTS[dialect].request(settings.output), answer, 0)
@@ -616,7 +612,7 @@ def test_an_answer_without_a_reading_has_a_code(dialect: str, answer: bytes, cod
 
 
 def test_values_beyond_the_range_are_reported_once_with_the_unit_as_the_likely_cause() -> None:
-    decoder = pipeline_of(sensor_of(dialect="LK-G", range_m=0.01))
+    decoder = pipeline_of(sensor(dialect="LK-G", range_m=0.01))
     answers = [b"M1,+01.0000", b"M1,+02288.5", b"M1,+02287.5", b"M1,+01.0000", b"M1,-02288.5"]
     found = [asked_of(decoder, b"M1\r", answer, 20 * number) for number, answer in enumerate(answers)]
     reported = [[i.text for i in items if isinstance(i, DeviceEvent) and i.kind == "status"] for items in found]
@@ -627,7 +623,7 @@ def test_values_beyond_the_range_are_reported_once_with_the_unit_as_the_likely_c
 
 
 def test_a_wrong_block_check_is_damage_once_right_ones_have_come() -> None:
-    decoder = pipeline_of(sensor_of(dialect="HL-G1"))
+    decoder = pipeline_of(sensor(dialect="HL-G1"))
     texts = [b"%%01$RMD+00012%02d" % n for n in range(10)]
     lines = [text + wire.check_sum(text) for text in texts]
     lines[6] = lines[6].replace(b"+0", b"+4")
@@ -640,7 +636,7 @@ def test_a_wrong_block_check_is_damage_once_right_ones_have_come() -> None:
 
 
 def test_block_checks_of_another_definition_are_no_damage() -> None:
-    decoder = pipeline_of(sensor_of(dialect="HL-G1"))
+    decoder = pipeline_of(sensor(dialect="HL-G1"))
     samples = [
         item
         for n in range(300)
@@ -652,7 +648,7 @@ def test_block_checks_of_another_definition_are_no_damage() -> None:
 
 def test_refusals_for_a_moment_are_no_fault() -> None:
     """As during a change of its settings. A fault ends a recording."""
-    decoder = pipeline_of(sensor_of(dialect="LK-G"))
+    decoder = pipeline_of(sensor(dialect="LK-G"))
     found: list[str] = []
     for n in range(90):
         found += kinds(asked_of(decoder, b"M1\r", b"ER,M1,01", 20 * n))
@@ -662,10 +658,10 @@ def test_refusals_for_a_moment_are_no_fault() -> None:
 
 
 def test_refusals_that_last_are_one_fault_with_a_remedy() -> None:
-    decoder = pipeline_of(sensor_of(dialect="HL-G1"))
+    decoder = pipeline_of(sensor(dialect="HL-G1"))
     found = [item for n in range(300) for item in asked_of(decoder, b"%01#RMD**\r", b"%01!21**", 20 * n)]
     (fault,) = [item.text for item in found if isinstance(item, DeviceEvent) and item.kind == "fault"]
-    assert "code 21: the sensor_of is being set up" in fault
+    assert "code 21: the sensor is being set up" in fault
     assert "Return it to its measuring state" in fault
 
 
@@ -699,7 +695,7 @@ class Dialogue:
 ])  # fmt: skip
 def test_a_sensor_that_answers_otherwise_is_quoted_at_opening(settings: dict[str, Any], answer: bytes) -> None:
     """Not reported as one that does not answer: the cable is right."""
-    known = sensor_of(**settings)
+    known = sensor(**settings)
     with pytest.raises(DeviceError) as raised:
         DRIVER.open("gauge", known, Dialogue(known, answer))
     assert repr(answer.strip()) in str(raised.value)
@@ -709,7 +705,7 @@ def test_a_sensor_that_answers_otherwise_is_quoted_at_opening(settings: dict[str
 
 @pytest.mark.parametrize(("answer", "is_found"), [(b"M0,+01.2345,+01.2345\r", False), (b"M0,+01.234\r\n", True)])
 def test_an_lkg_that_answers_the_il_s_request_is_not_found_as_an_il(answer: bytes, is_found: bool) -> None:
-    turns = DRIVER.identity_request(sensor_of(dialect="IL", baud=9600, rate_Hz=20))
+    turns = DRIVER.identity_request(sensor(dialect="IL", baud=9600, rate_Hz=20))
     request = next(turns)
     assert request.is_answered(answer) == is_found
     with pytest.raises(StopIteration) as end:

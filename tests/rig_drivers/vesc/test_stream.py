@@ -329,7 +329,7 @@ def test_speeds_of_the_status_have_the_state_of_the_answer_before_them() -> None
 
 
 def test_other_events_of_a_read_do_not_hide_a_restart() -> None:
-    """Missing status messages and damaged lines are event_facts of the line, which come before those of the answers."""
+    """Missing status messages and damaged lines are events of the line, which come before those of the answers."""
     line = on_bus(status_Hz=50.0)
     line.feed(RX, can_answer(), 0)
     found: list[list[str]] = []
@@ -337,7 +337,7 @@ def test_other_events_of_a_read_do_not_hide_a_restart() -> None:
         damaged = rx(b"tq\r") if n == 9 else b""
         found.append(kinds(line.feed(RX, damaged + can_answer(replace(TURNS, turned=1000 - n)), n * 20 * MS)))
     assert found[8] == ["damage", "restart"]
-    assert found[23] == ["status", "restart"], "the 25th answer_of, after half a second"
+    assert found[23] == ["status", "restart"], "the 25th answer, after half a second"
     assert [each for n, each in enumerate(found) if n not in (8, 23)] == [["restart"]] * 27
 
 
