@@ -13,6 +13,8 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
+LATEST_S = 0.5
+"""Latest answer after its request, s: an older reading has no known time, and is not the present state."""
 _LEAST_BEAT_S = 0.001  # s, shortest period of the thread
 _BEATS = 4  # beats in a period: a request is late by at most a quarter of it
 

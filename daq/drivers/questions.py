@@ -64,7 +64,7 @@ def ask(
     return None
 
 
-_TRIES, _TRY_S, _QUIET_S = 3, 1.0, 0.1  # seconds
+_TRY_S, _QUIET_S = 1.0, 0.1  # seconds
 
 
 def stop_stream(talk: Talk, order: bytes) -> bool:
@@ -82,7 +82,7 @@ def stop_stream(talk: Talk, order: bytes) -> bool:
         LinkLost: the connection to the device is lost.
     """
     clock = talk.clock
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         talk.send(order)
         count, since = talk.bytes_in, clock.wall_s()
         deadline = since + _TRY_S

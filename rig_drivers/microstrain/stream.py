@@ -35,8 +35,6 @@ _START_NS = 5_000_000_000  # after it was switched on, a node that samples by it
 _CONTRADICTIONS = 3  # consecutive packets with other channels or another rate than the rig file's
 _WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
 _TICKS = 65_536
-_CLOCK_NS = 2**62
-"""Range of the beacon's time: longer than that of any packet."""
 _LOOK_AHEAD_NS, _MAX_LATE_S = 2e9, 10.0
 """Longest wait for a repeated packet, and age of one that is no new start; the maker states none."""
 _MAX_HOST_LATE_NS = 120_000_000_000  # largest lateness of a host
@@ -69,7 +67,7 @@ class MicroStrainPipeline(Pipeline):
         self._settings, self._quantities = settings, quantity_channel(settings)
         self._search = PacketSearch(settings.aspp)
         self._period_ns = 1e9 / settings.rate_Hz
-        clock = (_CLOCK_NS, self._period_ns, round(_MAX_LATE_S * settings.rate_Hz))
+        clock = (wire.MAX_TIME_NS, self._period_ns, round(_MAX_LATE_S * settings.rate_Hz))
         count = Count(_TICKS, self._period_ns, 1.0, *clock, look_ahead_ns=_LOOK_AHEAD_NS)
         self._order = NumberedStream[Rows](count, np.concatenate)
         self._newest: tuple[int, int] | None = None  # time of the beacon, and arrival, of the newest sample, ns

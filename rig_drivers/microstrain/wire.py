@@ -112,7 +112,8 @@ ERRORS = {
 _UNKNOWN_RSSI = 0x7F
 _MAX_MODE = 2
 _CHANNELS_RADIO = range(11, 27)  # numbers of the radio channels
-_MAX_TIME_NS = 2**62
+MAX_TIME_NS = 2**62
+"""Range of the beacon's time: longer than that of any packet."""
 
 
 def serial_number(model: int, option: int, high: int, low: int) -> str:
@@ -304,7 +305,7 @@ def _time_ns(data: bytes, version: Version) -> int:
             raise ValueError(f"expected less than 10⁹ ns of a second, got {nanoseconds}")
         return seconds * 10**9 + nanoseconds
     time_ns = int.from_bytes(data, "big")
-    if time_ns >= _MAX_TIME_NS:
+    if time_ns >= MAX_TIME_NS:
         raise ValueError(f"expected a time before the year 2116, got {time_ns} ns")
     return time_ns
 

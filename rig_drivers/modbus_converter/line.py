@@ -11,11 +11,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from daq.drivers.questions import TRIES
 from daq.transports.host_clock import HostClock
 from rig_drivers.modbus_converter import wire
 from rig_drivers.modbus_converter.settings import ModbusConverter
 
-_TRIES = 3
 _BUSY = (5, 6)  # exceptions after which a command is repeated; some makers use 6 for a request with a wrong CRC
 _SILENCE = 3  # requests in turn without an answer after which the converter may have been switched off and on
 _LATEST_ANSWERS = 3  # answer times after which an answer does not come any more
@@ -32,7 +32,7 @@ class Order:
         answer: its answer, once it came.
     """
 
-    def __init__(self, request: wire.Request, tries: int = _TRIES) -> None:
+    def __init__(self, request: wire.Request, tries: int = TRIES) -> None:
         self.request: wire.Request = request
         self.tries: int = tries
         self.answer: wire.Answer | None = None

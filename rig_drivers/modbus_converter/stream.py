@@ -16,14 +16,12 @@ from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl
 from daq.drivers.fault_checks import controller_checks
 from daq.drivers.motors import MotorPipeline
+from daq.drivers.polling import LATEST_S
 from daq.items import TX, Batch, DeviceEvent
 from rig_basics.texts import number_of
 from rig_drivers.modbus_converter import registers, wire
 from rig_drivers.modbus_converter.rotor_speed import RotorSpeed
 from rig_drivers.modbus_converter.settings import ModbusConverter
-
-LATEST_S = 0.5
-"""Latest answer to a read after its request, s: an older state or speed gives no sample."""
 
 Items = list[Batch | DeviceEvent]
 

@@ -14,8 +14,6 @@ from daq.errors import DeviceError
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
 
-ANSWER_S = 0.5
-"""Wall time within which the sensor answers a request, s."""
 _TRIES = 4
 
 
@@ -42,7 +40,7 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
             other = repr(answer)
         return found if isinstance(found, wire.Reading) else None
 
-    if ask(talk, request, found_in, ANSWER_S, _TRIES) is not None:
+    if ask(talk, request, found_in, tries=_TRIES) is not None:
         return {"dialect": settings.dialect, "output": settings.output}
     if refusal:
         raise DeviceError(

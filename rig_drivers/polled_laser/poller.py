@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.drivers.polling import Request, RequestLoop
+from daq.drivers.polling import LATEST_S, Request, RequestLoop
 from daq.transports.host_clock import HostClock
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
-from rig_drivers.polled_laser.stream import LATEST_S
 
 _TRIES = 2
 """Probes after which a sensor that has answered none is polled without them."""

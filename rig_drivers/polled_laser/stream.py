@@ -16,12 +16,11 @@ import numpy as np
 from daq import channels
 from daq.drivers.contract import Pipeline
 from daq.drivers.displacement import displacement_batch
+from daq.drivers.polling import LATEST_S
 from daq.items import TX, Batch, DeviceEvent
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.settings import PolledLaser
 
-LATEST_S = 0.5
-"""Latest answer after its request, s. The host waits twice as long for it, so that it is not taken for the next one."""
 _REFUSALS = 3
 """Least number of refusals in a row that are a fault. Fewer are lost samples."""
 _REFUSING_S = 2.0

@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 from daq.drivers.canopen import cia301
 from daq.drivers.contract import Talk
+from daq.drivers.questions import TRIES
 from daq.errors import DeviceError
 from daq.transports.can_frames import CanFrame, encode
 from daq.transports.host_clock import HostClock
 
 _ANSWER_S = 0.3  # s to wait for an answer
-_TRIES = 3
 _SDO = struct.Struct("<BHBI")
 _READ, _WRITE, _ABORT = 0x40, 0x23, 0x80
 _KIND = 0xE0  # bits of a command byte that state the kind of a request or answer
@@ -115,8 +115,8 @@ class NodeObjects:
         return value_of(self._ask(f"reading {index:04X}h sub {sub}", _SDO.pack(_READ, index, sub, 0)))
 
     def _ask(self, what: str, request: bytes) -> bytes:
-        """Return the answer to a request, which is repeated up to `_TRIES` times."""
-        for _ in range(_TRIES):
+        """Return the answer to a request, which is repeated up to `TRIES` times."""
+        for _ in range(TRIES):
             with contextlib.suppress(queue.Empty):  # usual: no late answer is left
                 while True:
                     self._answers.get_nowait()
@@ -129,7 +129,7 @@ class NodeObjects:
             finally:
                 self._asked = b""
         raise NoAnswer(
-            f"{self._name}: no answer to {what} after {_TRIES} tries. Is node {self.node_id} powered, the bit rate "
+            f"{self._name}: no answer to {what} after {TRIES} tries. Is node {self.node_id} powered, the bit rate "
             "right, the bus terminated?"
         )
 

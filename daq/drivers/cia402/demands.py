@@ -12,13 +12,13 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.objects import NoAnswer, NodeObjects
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.wire import MODE_PROFILE_VELOCITY, PROFILE_ACCELERATION, PROFILE_DECELERATION, SpeedProfile
+from daq.drivers.questions import TRIES
 from daq.drivers.ramp import check_ramp
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_TARGET_TRIES = 3  # times that a target speed is commanded until the drive has it
 _MODES = {cia402.MODE_VELOCITY: "velocity", MODE_PROFILE_VELOCITY: "profile velocity"}
 """Mode of operation (6060h) to `mode` in the rig file. Bit n - 1 of 6502h states that a drive has mode n."""
 
@@ -82,7 +82,7 @@ def confirm_target(
     """
     raw = profile.pack(0, rpm)[2:]
     found: int | None = None
-    for attempt in range(_TARGET_TRIES):
+    for attempt in range(TRIES):
         if attempt and not order_again(rpm):
             return
         with ignoring(_log, "reading the target speed back", DeviceError):
