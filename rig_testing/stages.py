@@ -75,7 +75,6 @@ class Stage(Protocol):
 
     def after(self, seconds: float, do: Callable[[], object]) -> None:
         """Call a function after so many seconds of the simulated rig's time."""
-        ...
 
     def ask(self, do: str, **what: Any) -> object:
         """Send a request to the rig, see `daq.virtual_rig.control`.
@@ -87,7 +86,6 @@ class Stage(Protocol):
 
     def busy(self, seconds: float) -> None:
         """Suspend the host for so long."""
-        ...
 
     def end(self) -> TrueMotion:
         """Continue the simulation for a while and return the truth."""
@@ -95,7 +93,6 @@ class Stage(Protocol):
 
     def close(self) -> None:
         """Release all resources."""
-        ...
 
 
 class _Kept:

@@ -133,7 +133,6 @@ class Pipeline(ABC):
             data: the bytes.
             host_ns: host time of the read or write, ns since 1970.
         """
-        ...
 
     @property
     def status(self) -> PipelineStatus:
@@ -187,11 +186,9 @@ class Talk(Protocol):
         Raises:
             LinkLost: the connection to the device is lost.
         """
-        ...
 
     def restart_decoding(self) -> None:
         """Discard the state of decoding: a new pipeline decodes the bytes from here on."""
-        ...
 
 
 # --- commands of a device --------------------------------------------------------------------------------------
@@ -248,7 +245,6 @@ class SpeedControl(Protocol):
 
     def notice(self, pipeline: Pipeline) -> None:
         """Read the new reports from the pipeline. The device's reader calls this after each `feed`."""
-        ...
 
     @property
     def state(self) -> str:
@@ -265,19 +261,15 @@ class SpeedControl(Protocol):
 
     def start(self) -> None:
         """Set up the device while the rotor stands."""
-        ...
 
     def enable(self) -> None:
         """Hold speed 0."""
-        ...
 
     def set_ramp(self, rpm_per_s: float) -> None:
         """Set the rate of speeding up and slowing down, rpm/s."""
-        ...
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed, rpm."""
-        ...
 
     def disable(self) -> None:
         """Release the rotor, which stands.
@@ -286,11 +278,9 @@ class SpeedControl(Protocol):
             DeviceError: the device does not release it, or does not confirm the release.
             LinkLost: the connection to the device is lost.
         """
-        ...
 
     def quick_stop(self) -> None:
         """Stop the rotor as fast as the device can."""
-        ...
 
     def stop(self, notify: Callable[[str], None] = ...) -> bool:
         """Stop the rotor, then release it. The commands are also sent to a device that does not answer.
@@ -337,11 +327,9 @@ class LockControl(Protocol):
         Raises:
             DeviceError: the device refuses or does not answer.
         """
-        ...
 
     def heard(self, event: DeviceEvent) -> None:
         """Take an acknowledgement of the device."""
-        ...
 
     def measure_round_trip(self) -> float | None:
         """Send requests, and compare the times of their arrival on the common clock with those of sending.
@@ -364,12 +352,9 @@ class Poller(Protocol):
 
     def start(self) -> None:
         """Begin to send requests, after the device was opened, and again after it was opened again."""
-        ...
 
     def heard(self, data: bytes) -> None:
         """Take bytes of the device. The device's reader calls this after the bytes were logged; it must not wait."""
-        ...
 
     def stop(self) -> None:
         """End the requests, before the device is stopped or opened again."""
-        ...
