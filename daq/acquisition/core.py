@@ -23,7 +23,7 @@ from daq.acquisition.life import Life, Policy, Stage
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.acquisition.recorder import DiskState
-from daq.acquisition.trips import Trips
+from daq.acquisition.trips import Reason, Trips
 from daq.drivers.calibrated import Calibration
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of, devices_of
@@ -129,7 +129,7 @@ class Core:
         self.trips: Trips = self._no_trips()
 
     def _no_trips(self) -> Trips:
-        return Trips(channels_of(self.rig.devices).values(), self.rig.roles)
+        return Trips(channels_of(self.rig.devices).values())
 
     # --- a log begins --------------------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class Core:
         tripped, self.trips = self.trips.reasons, self._no_trips()
         for reason in tripped:
             if since <= reason.host_ns < now_ns:
-                self.trips.tripped(reason.interlock, reason.text, reason.host_ns)
+                self.trips.tripped(reason)
         for name in self._known:
             self._heard_ns.setdefault(name, now_ns)
         out: list[Keep | Note] = []
@@ -260,7 +260,7 @@ class Core:
 
     def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Effect]:
         """Add a stop to the trip. The first one ends the run."""
-        self.trips.tripped(stop.interlock, stop.text, host_ns)
+        self.trips.tripped(Reason(stop.interlock, stop.text, host_ns, self.interlocks.speed_rpm(host_ns)))
         if self.trouble is None:
             kind = DeviceError if stop.cause == "device" else ProcedureError
             turning = self.interlocks.turning(host_ns)

@@ -7,16 +7,14 @@ and its watches evaluate the rows of `CHANNELS`. The session, which owns links, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 from daq.acquisition.exceedance import TOGETHER
 from daq.acquisition.least_motion import MOMENT_SHARE, RUN_OUT_M
 from daq.acquisition.locked_watch import MOVED_S, SETTLE_S
-from daq.acquisition.motion_watch import BEATS, STUCK_M, TURNS, WINDOW_S
+from daq.acquisition.motion_watch import BEATS, STUCK_M, SWING_M, TURNS, WINDOW_S
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
-from daq.acquisition.stuck_watch import STILL_S, SWING_M
 from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
 from rig_configs.schema import Limits
 
@@ -98,8 +96,10 @@ def _within(seconds: float) -> str:
     return f"{seconds + HOST_S:g} s"
 
 
-def _silence(turning_s: float) -> str:
-    return f"{_within(turning_s)}; at rest, where the test needs it, {_within(AT_REST_S)}"
+def _silence(name: str, guards: str, seconds: float, role: str) -> Interlock:
+    threshold = f"no sample for {seconds:g} s; bytes without samples do not count"
+    deadline = f"{_within(seconds)}; at rest, where the test needs it, {_within(AT_REST_S)}"
+    return Interlock(name, guards, threshold, "constant", deadline, role=role)
 
 
 def _beyond(share_and_rpm: tuple[float, float]) -> str:
@@ -107,40 +107,40 @@ def _beyond(share_and_rpm: tuple[float, float]) -> str:
     return f"{share:.0%} and {rpm:g} rpm".replace("%", " %")
 
 
-def _displacement_rows() -> Iterator[Interlock]:
-    yield Interlock(
+INTERLOCKS: tuple[Interlock, ...] = (
+    Interlock(
         "amplitude",
         "displacement",
         f"limits.amplitude_m, by two samples at most {TOGETHER} apart",
         "limits.amplitude_m",
         "at once",
         role=DisplacementSensor.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "out of sight",
         "displacement",
         f"{GONE_SAMPLES} invalid samples after one beyond {LARGE:g} × limits.amplitude_m",
         "limits.amplitude_m, constant",
         "at once",
         role=DisplacementSensor.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "blind sensor",
         "displacement",
         f"half of the samples invalid over {BLIND_S:g} s",
         "constant",
         f"{BLIND_S:g} s of samples",
         role=DisplacementSensor.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "stuck sensor",
         "displacement",
-        f"one reading for {STILL_S:g} s while the other direction moves {SWING_M * 1e6:g} µm",
+        f"one reading for {WINDOW_S:g} s while the other direction moves {SWING_M * 1e6:g} µm",
         "constant",
-        f"{STILL_S:g} s of samples",
+        f"{WINDOW_S:g} s of samples",
         role=DisplacementSensor.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "no motion",
         "displacement",
         f"below {MOMENT_SHARE:g} × the unbalance's motion − {RUN_OUT_M * 1e6:g} µm; "
@@ -148,45 +148,35 @@ def _displacement_rows() -> Iterator[Interlock]:
         "rig file, constant",
         f"{WINDOW_S:g} s, {TURNS:g} turn, {BEATS:g} beats",
         role=DisplacementSensor.role,
-    )
-
-
-def _silence_rows() -> Iterator[Interlock]:
-    for guards, name, seconds, role in (
-        ("displacement", "silent displacement", DISPLACEMENT_S, DisplacementSensor.role),
-        ("pendulum angles and their radio link", "silent angles", ANGLES_S, PendulumAngles.role),
-        ("age of the actual speed", "silent speed", SPEED_S, SpeedSource.role),
-    ):
-        threshold = f"no sample for {seconds:g} s; bytes without samples do not count"
-        yield Interlock(name, guards, threshold, "constant", _silence(seconds), role=role)
-
-
-def _pendulum_rows() -> Iterator[Interlock]:
-    yield Interlock(
+    ),
+    _silence("silent displacement", "displacement", DISPLACEMENT_S, DisplacementSensor.role),
+    _silence("silent angles", "pendulum angles and their radio link", ANGLES_S, PendulumAngles.role),
+    _silence("silent speed", "age of the actual speed", SPEED_S, SpeedSource.role),
+    Interlock(
         "no index mark",
         "rotor phase",
         f"{TURNS_UNSEEN:g} turns without an index mark",
         "constant",
         f"{TURNS_UNSEEN:g} turns + {RADIO_S:g} s",
         role=RotorPhase.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "encoder fault",
         "pendulum angles",
         f"half of the samples flagged over {FAULTY_S:g} s",
         "constant",
         f"{FAULTY_S:g} s of samples",
         role=PendulumAngles.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "loose lock",
         "angles of pendulums in closed locks",
         "moves by more than 1° and 5 standard uncertainties of the encoder's zero",
         "constant",
         f"{MOVED_S:g} s of samples, from {SETTLE_S:g} s after the lock closed",
         role=PendulumLocks.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "lock fault",
         "pendulum locks",
         "a lock reports a fault",
@@ -194,56 +184,47 @@ def _pendulum_rows() -> Iterator[Interlock]:
         "at once",
         "test ended",
         PendulumLocks.role,
-    )
-
-
-def _device_rows() -> Iterator[Interlock]:
-    yield Interlock(
-        "restart",
-        "the drive; others while the rotor turns or the test needs them",
-        "a boot-up message, or counters that restart",
-        _REPORT,
-        "at once",
-    )
-    yield Interlock("fault", "every device", "the device reports a fault", _REPORT, "at once")
-    yield Interlock(
-        "left operation",
-        "speed source",
-        "a network state other than operational",
-        _REPORT,
-        "at once",
-        role=SpeedSource.role,
-    )
-
-
-def _speed_rows() -> Iterator[Interlock]:
-    yield Interlock(
+    ),
+    Interlock(
         "overspeed",
         "actual speed, index marks",
         f"{_beyond(OVERSPEED)} beyond limits.speed_rpm, in {ROWS_BEYOND} reports in a row or over 3 turns",
         "limits.speed_rpm, constant",
         "at once",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "runaway",
         "actual speed",
         f"{_beyond(RUNAWAY)} beyond the commanded speed",
         "constant",
         "at once",
         role=SpeedSource.role,
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "speed disagreement",
         "index marks against actual speed",
         f"{_beyond(DISAGREE)} apart",
         "constant",
         f"1 s or 5 marks, then {_within(0.5)}",
         role=RotorPhase.role,
-    )
-
-
-def _session_rows() -> Iterator[Interlock]:
-    yield Interlock(
+    ),
+    Interlock(
+        "restart",
+        "the drive; others while the rotor turns or the test needs them",
+        "a boot-up message, or counters that restart",
+        _REPORT,
+        "at once",
+    ),
+    Interlock("fault", "every device", "the device reports a fault", _REPORT, "at once"),
+    Interlock(
+        "left operation",
+        "speed source",
+        "a network state other than operational",
+        _REPORT,
+        "at once",
+        role=SpeedSource.role,
+    ),
+    Interlock(
         "drop-out",
         "speed source",
         "the drive leaves operation without a command",
@@ -251,8 +232,8 @@ def _session_rows() -> Iterator[Interlock]:
         f"{LOOK_S:g} s",
         role=SpeedSource.role,
         judge="session",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "emergency",
         "speed source",
         "an emergency message after which the drive remains in operation",
@@ -261,8 +242,8 @@ def _session_rows() -> Iterator[Interlock]:
         _CONTINUES,
         SpeedSource.role,
         "session",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "silent line",
         "every device",
         f"no byte for {LINE_S:g} s in two checks",
@@ -270,8 +251,8 @@ def _session_rows() -> Iterator[Interlock]:
         f"{LINE_S + 0.5:g} s",
         _REOPENED,
         judge="session",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "lost device",
         "every device",
         "its port fails, or its bytes make its decoder fail",
@@ -279,8 +260,8 @@ def _session_rows() -> Iterator[Interlock]:
         "at once",
         f"{_STOP}; at rest: {_REOPENED}",
         judge="session",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "disk",
         "the log",
         "the disk is full, removed, or 64 MB behind",
@@ -288,8 +269,8 @@ def _session_rows() -> Iterator[Interlock]:
         "0.25 s",
         f"{_STOP}; the log is complete",
         judge="session",
-    )
-    yield Interlock(
+    ),
+    Interlock(
         "operator",
         "Ctrl-C, SIGTERM, SIGHUP, the live page's stop",
         "any",
@@ -297,16 +278,7 @@ def _session_rows() -> Iterator[Interlock]:
         "at once",
         f"{_STOP}, exit 130",
         judge="session",
-    )
-
-
-INTERLOCKS: tuple[Interlock, ...] = (
-    *_displacement_rows(),
-    *_silence_rows(),
-    *_pendulum_rows(),
-    *_speed_rows(),
-    *_device_rows(),
-    *_session_rows(),
+    ),
 )
 """All rows in the order of the documentation."""
 CHANNELS = tuple(row for row in INTERLOCKS if row.judge == "channels")

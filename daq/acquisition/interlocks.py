@@ -36,7 +36,6 @@ from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.locked_watch import LockedWatch
 from daq.acquisition.motion_watch import MotionWatch
 from daq.acquisition.rotor_watch import Finding, RotorWatch
-from daq.acquisition.stuck_watch import StuckWatch
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
 from daq.items import Batch, DeviceEvent
 from rig_configs.roles import Roles
@@ -78,30 +77,19 @@ class Share:
         self._samples = self._bad = 0
         self.in_a_row: int = 0
 
-    def add(self, first_ns: int, last_ns: int, bad: NDArray[np.bool_]) -> None:
+    def add(self, time_ns: NDArray[np.int64], bad: NDArray[np.bool_]) -> None:
         """Add the samples of one read.
 
         Args:
-            first_ns, last_ns: times of the first and the last sample, ns.
+            time_ns: times, ns, shape (n,), n ≥ 1.
             bad: mask of the bad samples, shape (n,).
         """
         count = int(np.count_nonzero(bad))
-        last = len(bad) - 1 - int(np.flatnonzero(~bad)[-1]) if 0 < count < len(bad) else count
-        self.note(first_ns, last_ns, len(bad), count, last)
-
-    def note(self, first_ns: int, last_ns: int, samples: int, bad: int, bad_last: int) -> None:
-        """Add the samples of one read by their numbers.
-
-        Args:
-            first_ns, last_ns: times of the first and the last sample, ns.
-            samples, bad: number of samples, and of bad ones.
-            bad_last: number of bad samples after the last good one.
-        """
-        self.in_a_row = self.in_a_row + bad if bad == samples else bad_last
-        self._reads.append((first_ns, last_ns, samples, bad))
-        self._samples += samples
-        self._bad += bad
-        while self._reads[0][1] < last_ns - self._stretch_ns:
+        self.in_a_row = self.in_a_row + count if count == len(bad) else int(np.argmin(bad[::-1]))
+        self._reads.append((int(time_ns[0]), int(time_ns[-1]), len(bad), count))
+        self._samples += len(bad)
+        self._bad += count
+        while self._reads[0][1] < self._reads[-1][1] - self._stretch_ns:
             _, _, old_samples, old_bad = self._reads.popleft()
             self._samples -= old_samples
             self._bad -= old_bad
@@ -141,13 +129,11 @@ class Interlocks:
         self._angles, self._marks, self._speed = (
             role and role.topic for role in (roles.angles, roles.phase, roles.speed)
         )
-        limits_s = [(topic, DISPLACEMENT_S) for topic in self._lasers]
-        limits_s += [(topic, s) for topic, s in ((self._angles, ANGLES_S), (self._speed, SPEED_S)) if topic]
-        self._silences = dict.fromkeys(self._lasers, "silent displacement")
-        self._silences |= {t: n for t, n in ((self._angles, "silent angles"), (self._speed, "silent speed")) if t}
-        self._rest_s = AT_REST_S + HOST_S
-        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + HOST_S) for t, s in limits_s}
-        self._due = tuple(deadlines)
+        due = [(topic, DISPLACEMENT_S, "silent displacement") for topic in self._lasers]
+        others = ((self._angles, ANGLES_S, "silent angles"), (self._speed, SPEED_S, "silent speed"))
+        due += [(topic, limit_s, name) for topic, limit_s, name in others if topic]
+        self._silences = {topic: name for topic, _, name in due}
+        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + HOST_S) for t, s, _ in due}
         self._node_s = deadlines[self._angles][1] if self._angles else math.inf
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
@@ -157,7 +143,6 @@ class Interlocks:
         self.rotor: RotorWatch = RotorWatch(limits.speed_rpm, driven=driven, rest_rpm=self._rest_rpm)
         self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
-        self._stuck = StuckWatch(self._lasers)
         self._motion = MotionWatch(roles.displacements, least)
         self._locked = LockedWatch(roles.zero_std_deg)
         self._seen_m = dict.fromkeys(self._lasers, 0.0)
@@ -259,8 +244,8 @@ class Interlocks:
                 self.rotor.reset_turns()
             if not turning:
                 self._motion.clear()
-            elif (missing := self._motion.tick(now_ns, self.measured_rpm(now_ns))) is not None:
-                out.append(Stop("device", missing, "no motion"))
+            elif (found := self._motion.tick(now_ns, self.measured_rpm(now_ns))) is not None:
+                out.append(Stop("device", found.text, found.interlock))
             if not self._driving:
                 return [item for item in out if isinstance(item, DeviceEvent)]
             out += self._silent(now_ns, turning)
@@ -326,17 +311,18 @@ class Interlocks:
         return self._angles is not None and 2 * self.channels.silent_s(self._angles, now_ns) > self._node_s
 
     def _silent(self, now_ns: int, turning: bool) -> list[Stop]:
-        due = set(self._due) if turning else self._needed & set(self._due)
-        least_s = 0.0 if turning else self._rest_s
+        least_s = 0.0 if turning else AT_REST_S + HOST_S
         return [
             Stop(
                 "device",
                 f"{topic}: silent for {self.channels.sampleless_s(topic, now_ns):.1f} s. Look at the device, its "
                 "cable, its power or battery, its radio",
-                self._silences[topic],
+                name,
             )
-            for topic in self._due
-            if topic in due and self.channels.silent(topic) and self.channels.silent_s(topic, now_ns) >= least_s
+            for topic, name in self._silences.items()
+            if (turning or topic in self._needed)
+            and self.channels.silent(topic)
+            and self.channels.silent_s(topic, now_ns) >= least_s
         ]
 
     def _unguarded(self) -> list[Stop]:
@@ -362,35 +348,26 @@ class Interlocks:
         return Stop("device", text, "blind sensor")
 
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
-        """Evaluate a displacement: amplitude, out of sight, blind sensor, stuck sensor."""
-        samples, share, displacement = len(batch.time_ns), self._sight[topic], batch.columns["displacement_m"]
-        invalid, invalid_last, newest_m, beyond_m = self._exceedances[topic].look(displacement)
-        share.note(int(batch.time_ns[0]), int(batch.time_ns[-1]), samples, invalid, invalid_last)
+        """Evaluate a displacement: amplitude, out of sight, blind sensor; keep it for the watch of its motion."""
+        share, displacement = self._sight[topic], batch.columns["displacement_m"]
+        invalid, beyond_m = np.isnan(displacement), self._exceedances[topic].feed(displacement)
+        share.add(batch.time_ns, invalid)
         if share.in_a_row:
             self._code[topic] = int(batch.columns["code"][-1])
-        if invalid < samples:
-            self._seen_m[topic] = abs(newest_m)
+        if share.in_a_row < len(invalid):
+            self._seen_m[topic] = abs(float(displacement[-1 - share.in_a_row]))
         blind, limit = share.mostly_bad, self._limits.amplitude_m
         out: list[DeviceEvent | Stop] = [*self._blindness(topic, blind)]
         gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
-        stuck = self._stuck.feed(topic, batch.time_ns, displacement)
         self._motion.feed(topic, host_ns, displacement)
-        if not (blind or gone or beyond_m is not None or stuck is not None) or not self._driving:
+        if not (blind or gone or beyond_m is not None) or not self._driving or not self.turning(host_ns):
             return out
-        if not self.turning(host_ns):
-            self._stuck.clear()
-            return out
-        if beyond_m is not None or gone:
-            if beyond_m is None:
-                name, seen = "out of sight", f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
-            else:
-                name, seen = "amplitude", f"{beyond_m * 1e3:.1f} mm"
-            out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm", name))
-        elif blind or stuck is None:
-            out.append(self._is_blind(topic))
-        else:
-            out.append(Stop("device", stuck, "stuck sensor"))
-        return out
+        if beyond_m is None and not gone:
+            return [*out, self._is_blind(topic)]
+        name, seen = "out of sight", f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
+        if beyond_m is not None:
+            name, seen = "amplitude", f"{beyond_m * 1e3:.1f} mm"
+        return [*out, Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm", name)]
 
     def _blindness(self, topic: str, blind: bool) -> list[DeviceEvent]:
         if blind == self._blind[topic]:
@@ -406,14 +383,9 @@ class Interlocks:
         self._motion.angles(float(batch.columns["theta3_rad"][-1]), float(batch.columns["theta4_rad"][-1]))
         flags = batch.columns["flags"]
         out: list[DeviceEvent | Stop] = [*self._slips(batch)]
-        first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
-        faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
-        self._faulty_samples += faulty
+        self._faulty_samples += int(np.count_nonzero(flags & sum(_FAULTS)))
         for bit, share in self._sound.items():
-            if faulty:
-                share.add(first_ns, last_ns, (flags & bit) != 0)
-            else:
-                share.note(first_ns, last_ns, len(flags), 0, 0)
+            share.add(batch.time_ns, (flags & bit) != 0)
             if share.mostly_bad != self._faulty[bit]:
                 self._faulty[bit] = share.mostly_bad
                 words = "reports a fault" if share.mostly_bad else "is sound again"

@@ -1,9 +1,13 @@
 """Detection of a displacement sensor that does not measure the motion of a turning rotor, such as one that hangs.
 
-A sensor that hangs repeats its last value, or adds its own noise to it. Its motion is then smaller than the unbalance
-of the rig file implies (`daq.acquisition.least_motion`). The motion is half the distance between the lowest and the
-highest tenth of the newest samples, over 0.95 as of a sine. Noise, drift and free vibration only increase it, and
-single false readings leave it.
+A sensor that hangs repeats its last value, or adds its own noise to it. Two comparisons find it:
+
+- with the other sensor. A constant reading alone is not a fault: a balanced rotor and a simulation without noise give
+  one too. A turning rotor, however, does not move in one direction only. A reading that is constant to the last bit
+  while the other direction swings is a fault.
+- with the unbalance of the rig file (`daq.acquisition.least_motion`), which implies a least motion. The motion is half
+  the distance between the lowest and the highest tenth of the newest samples, over 0.95 as of a sine. Noise, drift and
+  free vibration only increase it, and single false readings leave it.
 """
 
 from __future__ import annotations
@@ -16,11 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.least_motion import LeastMotion
+from daq.acquisition.rotor_watch import Finding
 from rig_basics.units import RPM
 from rig_configs.roles import DisplacementSensor
 
 WINDOW_S, TURNS, BEATS = 0.5, 1.0, 1.5
 """Least length of the evaluated stretch: time, turns, and beats of a free vibration with the rotation, s of samples."""
+SWING_M = 50e-6
+"""Peak-to-peak displacement of another sensor in `WINDOW_S` that shows a motion, m: a hundred steps of a sensor."""
 STUCK_M = 25e-6
 """Implied amplitude from which a reading that is constant to the last bit is a fault: ten steps of 5 µm, peak to
 peak, and common sensors have steps below 2 µm."""
@@ -64,26 +71,22 @@ class MotionWatch:
         """Register the newest pendulum angles."""
         self._theta_rad = (theta3_rad, theta4_rad)
 
-    def tick(self, now_ns: int, rpm: float) -> str | None:
-        """Evaluate the newest stretch of a turning rotor.
+    def tick(self, now_ns: int, rpm: float) -> Finding | None:
+        """Evaluate the newest stretch of a turning rotor. Return a fault, or None.
 
         Args:
             now_ns: host time, ns.
             rpm: measured speed; NaN if unknown.
-
-        Returns:
-            Description of the fault, or None.
         """
         held = not self._least.has_angles or (
             self._theta_rad is not None and self._least.stand_at_locks(self._theta_rad)
         )
         self._speeds.append((now_ns, abs(rpm) * RPM if held else math.nan))
         speed = self._speeds[-1][1]
-        if not speed > 0:
-            self._drop(now_ns)
-            return None
-        window_s = self._window_s(speed)
+        window_s = self._window_s(speed) if speed > 0 else WINDOW_S
         self._drop(now_ns - round(window_s * 1e9))
+        if (stuck := self._stuck(now_ns)) is not None:
+            return stuck
         speeds = [each for _, each in self._speeds]
         full = (now_ns - self._speeds[0][0]) * 1e-9 >= (1 - _MAX_GAP) * window_s
         if not full or any(math.isnan(each) for each in speeds):
@@ -101,9 +104,25 @@ class MotionWatch:
             while kept and kept[0][0] < before_ns:
                 kept.popleft()
 
-    def _missing(self, topic: str, slowest: float, fastest: float) -> str | None:
-        parts = [values for _, values in self._reads[topic]]
-        values = np.concatenate(parts) if parts else np.empty(0)
+    def _values(self, topic: str, since_ns: int = 0) -> NDArray[np.float64]:
+        return np.concatenate([np.empty(0), *(values for at_ns, values in self._reads[topic] if at_ns >= since_ns)])
+
+    def _stuck(self, now_ns: int) -> Finding | None:
+        """Return the fault of a reading that is constant while another sensor moves."""
+        newest = {topic: self._values(topic, now_ns - round(WINDOW_S * 1e9)) for topic in self._axis_of}
+        swings_m = {topic: float(np.ptp(values)) for topic, values in newest.items() if len(values) > 2}
+        swing_m = max(swings_m.values(), default=0.0)
+        for topic in (topic for topic, own_m in swings_m.items() if own_m == 0.0 and swing_m >= SWING_M):
+            if (now_ns - self._reads[topic][0][0]) * 1e-9 >= (1 - _MAX_GAP) * WINDOW_S:
+                return Finding(
+                    "stuck sensor",
+                    f"{topic}: reads {newest[topic][0] * 1e3:.4f} mm without any change for {WINDOW_S:.1f} s, while "
+                    f"the column moves by {swing_m * 1e3:.2f} mm across it: the sensor hangs. Switch it off and on",
+                )
+        return None
+
+    def _missing(self, topic: str, slowest: float, fastest: float) -> Finding | None:
+        values = self._values(topic)
         if len(values) < _MIN_SAMPLES:
             return None
         axis, constant = self._axis_of[topic], bool(np.all(values == values[0]))
@@ -116,9 +135,10 @@ class MotionWatch:
         seen_m = 0.5 * (high - low) / _OF_SINE
         if seen_m >= least_m:
             return None
-        return (
+        return Finding(
+            "no motion",
             f"{topic}: moves by ± {seen_m * 1e6:.1f} µm at {fastest / RPM:.0f} rpm; the rig file's unbalance implies "
             f"± {least_m * 1e6:.0f} µm or more. The sensor hangs, or it does not look at the disk, or the rotor is "
             "balanced better than the file states. Switch the sensor off and on, and compare [imbalance] and "
-            "[suspension] with the rig"
+            "[suspension] with the rig",
         )

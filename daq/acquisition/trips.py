@@ -21,11 +21,9 @@ from numpy.typing import NDArray
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
 from daq.acquisition.recent import Recent
-from daq.acquisition.rotor_watch import TURNS_UNSEEN
 from daq.channels import Channel
 from daq.items import DeviceEvent
 from daq.log.outcome import TRIP
-from rig_configs.roles import Roles
 
 BEFORE_S, AFTER_S = 1.0, 1.0
 """Length of the excerpt before and after the first reason, s."""
@@ -44,11 +42,13 @@ class Reason:
         interlock: name of its row in `daq.acquisition.interlock_table`.
         text: the finding with its values.
         host_ns: time of the finding, ns since 1970.
+        speed_rpm: speed of the rotor at that time, rpm; NaN if unknown.
     """
 
     interlock: str
     text: str
     host_ns: int
+    speed_rpm: float = math.nan
 
     @property
     def of(self) -> tuple[str, str]:
@@ -66,14 +66,13 @@ class Trips:
 
     Args:
         channels: channels of the excerpt.
-        roles: roles of the rig. The speed comes from the index marks, without them from the speed source.
 
     Attributes:
         reasons: reasons of the trip so far in their order; empty without a trip.
     """
 
-    def __init__(self, channels: Iterable[Channel], roles: Roles) -> None:
-        self._channels, self._roles = tuple(channels), roles
+    def __init__(self, channels: Iterable[Channel]) -> None:
+        self._channels = tuple(channels)
         self._together_ns = int(TOGETHER_S * 1e9)
         self._due_ns = int((AFTER_S + _MAX_READ_DELAY_S) * 1e9)
         self._lock = threading.Lock()
@@ -81,22 +80,15 @@ class Trips:
         self._later: dict[str, None] = {}
         self.reasons: tuple[Reason, ...] = ()
 
-    def tripped(self, interlock: str, text: str, host_ns: int) -> None:
-        """Add a finding of an interlock. Repetitions of a finding are ignored.
-
-        Args:
-            interlock: name of its row.
-            text: the reason.
-            host_ns: time of the finding, ns since 1970.
-        """
-        reason = Reason(interlock, text, host_ns)
+    def tripped(self, reason: Reason) -> None:
+        """Add a finding of an interlock. Repetitions of a finding are ignored."""
         with self._lock:
             if self._is_reported or any(known.of == reason.of for known in self.reasons):
                 return
             if self.reasons and (
-                host_ns > self.reasons[0].host_ns + self._together_ns or len(self.reasons) == _MAX_REASONS
+                reason.host_ns > self.reasons[0].host_ns + self._together_ns or len(self.reasons) == _MAX_REASONS
             ):
-                self._later[interlock] = None
+                self._later[reason.interlock] = None
                 return
             self.reasons = (*self.reasons, reason)
 
@@ -124,22 +116,12 @@ class Trips:
                 for reason in self.reasons
             ],
             "later": list(self._later),
-            "speed_rpm": self._speed_rpm(first_ns, recent),
+            "speed_rpm": _number(self.reasons[0].speed_rpm),
             "from_ms": -BEFORE_S * 1e3,
             "until_ms": _ms(until_ns, first_ns),
             "excerpt": self._excerpt(first_ns, until_ns, recent),
         }
         return DeviceEvent(TRIP, HOST, f"{', '.join(names)}: {'; also '.join(r.text for r in self.reasons)}", facts)
-
-    def _speed_rpm(self, at_ns: int, recent: Recent) -> float | None:
-        """Return the speed between the last two index marks, unless they have ceased; then the drive's last report."""
-        speed, phase = self._roles.speed, self._roles.phase
-        by_marks = None if phase is None else _mark_rpm(*recent.last(phase.topic, ("revolutions",)), at_ns)
-        if by_marks is not None or speed is None:
-            return by_marks
-        time_ns, (rpm,) = recent.last(speed.topic, ("speed_rpm",))
-        before = int(np.searchsorted(time_ns, at_ns, side="right"))
-        return _number(float(rpm[before - 1])) if before else None
 
     def _excerpt(self, first_ns: int, until_ns: int, recent: Recent) -> dict[str, dict[str, dict[str, list[Any]]]]:
         out: dict[str, dict[str, dict[str, list[Any]]]] = {}
@@ -152,19 +134,6 @@ class Trips:
                     for name, column in zip(channel.names, columns, strict=True)
                 }
         return out
-
-
-def _mark_rpm(time_ns: NDArray[np.int64], columns: list[NDArray[Any]], at_ns: int) -> float | None:
-    """Return the speed between the last two marks before an instant, rpm; None if they lie further back than that."""
-    (turns,) = columns
-    before = int(np.searchsorted(time_ns, at_ns, side="right"))
-    if before < 2:
-        return None
-    spent_ns = int(time_ns[before - 1] - time_ns[before - 2])
-    turned = int(turns[before - 1]) - int(turns[before - 2])
-    if spent_ns <= 0 or turned <= 0 or (at_ns - time_ns[before - 1]) * turned > TURNS_UNSEEN * spent_ns:
-        return None
-    return _number(60e9 * turned / spent_ns)
 
 
 def _series(time_ns: NDArray[np.int64], values: NDArray[Any], first_ns: int) -> dict[str, list[Any]]:

@@ -354,7 +354,7 @@ def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tupl
     for count, level in reads:
         new = start + np.arange(count) * 1_000_000
         mask = rng.random(count) < level
-        share.add(int(new[0]), int(new[-1]), mask)
+        share.add(new, mask)
         times, bad, start = np.concatenate([times, new]), np.concatenate([bad, mask]), start + count * 1_000_000
         good = np.flatnonzero(~bad)
         assert share.in_a_row == len(bad) - 1 - (int(good[-1]) if len(good) else -1)

@@ -48,7 +48,7 @@ class Column:
             for topic, values in shown.items():
                 watch.feed(topic, at_ns, values[end - READ : end])
             if end % 100 == 0 and (found := watch.tick(at_ns, float(self.rpm[end]))):
-                return float(self.rpm[end]), found
+                return float(self.rpm[end]), found.text
         return None
 
 

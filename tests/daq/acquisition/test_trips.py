@@ -12,21 +12,23 @@ from hypothesis.extra.numpy import arrays
 
 from daq import channels
 from daq.acquisition.recent import Recent
-from daq.acquisition.trips import POINTS, Trips, kept_rows
-from daq.channels import LASER_X, MOTOR, TACHO
+from daq.acquisition.trips import POINTS, Reason, Trips, kept_rows
+from daq.channels import LASER_X
 from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
-from rig_configs import load_rig
 from tests.daq.far_ends import Bench
 
 T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
-ROLES = load_rig("virtual").roles
 
 
-def made(roles=ROLES) -> Trips:
-    return Trips(channels.CHANNELS.values(), roles)
+def made(*found: tuple[str, str, float]) -> Trips:
+    """Trips with findings: interlock, text, and seconds after T0."""
+    trips = Trips(channels.CHANNELS.values())
+    for interlock, text, after_s in found:
+        trips.tripped(Reason(interlock, text, T0 + round(after_s * S), 601.5))
+    return trips
 
 
 def laser(start_ns: int, seconds: float, displacement_m: np.ndarray | None = None) -> Batch:
@@ -43,41 +45,30 @@ def laser(start_ns: int, seconds: float, displacement_m: np.ndarray | None = Non
     return Batch(LASER_X, start_ns + 250_000 * k, k.astype(np.uint32), columns)
 
 
-def motor(at_ns: int, rpm: float) -> Batch:
-    columns = {"speed_rpm": np.array([rpm]), "target_rpm": np.array([600.0]), "statusword": np.array([0x237])}
-    return Batch(MOTOR, np.array([at_ns]), np.zeros(1, np.uint32), columns)
-
-
 def only(events: list[DeviceEvent]) -> DeviceEvent:
     (event,) = events
     assert (event.kind, event.device) == ("trip", "host")
     return event
 
 
-def test_nothing_tripped_is_no_event() -> None:
-    trips, recent = made(), Recent(10.0)
-    assert trips.tick(T0, recent) == trips.end(T0, recent) == []
-    assert trips.reasons == ()
-
-
 def test_the_event_waits_for_the_second_behind_it_and_comes_once() -> None:
     trips, recent = made(), Recent(10.0)
     recent.add(laser(T0 - 3 * S, 5.0))
-    trips.tripped("amplitude", "laser/x: 12.1 mm", T0)
+    assert trips.tick(T0, recent) == trips.end(T0, recent) == []
+    trips = made(("amplitude", "laser/x: 12.1 mm", 0.0))
     assert trips.tick(T0 + S, recent) == []
     event = only(trips.tick(T0 + 2 * S, recent))
     times = event.facts["excerpt"]["laser/x"]["displacement_m"]["t_ms"]
     assert (min(times), max(times)) == (pytest.approx(-1000, abs=20), pytest.approx(1000, abs=20))
-    assert (event.facts["time_ns"], event.facts["until_ms"]) == (T0, 1000.0)
-    trips.tripped("blind sensor", "laser/y: nothing", T0 + 3 * S)
+    assert (event.facts["time_ns"], event.facts["until_ms"], event.facts["speed_rpm"]) == (T0, 1000.0, 601.5)
+    trips.tripped(Reason("blind sensor", "laser/y: nothing", T0 + 3 * S))
     assert trips.tick(T0 + 9 * S, recent) == trips.end(T0 + 9 * S, recent) == []
     assert [reason.interlock for reason in trips.reasons] == ["amplitude"]
 
 
 def test_a_log_that_ends_sooner_has_the_trip_as_far_as_it_goes() -> None:
-    trips, recent = made(), Recent(10.0)
+    trips, recent = made(("amplitude", "laser/x: 12.1 mm", 0.0)), Recent(10.0)
     recent.add(laser(T0 - S // 2, 1.0))
-    trips.tripped("amplitude", "laser/x: 12.1 mm", T0)
     event = only(trips.end(T0 + S // 4, recent))
     times = event.facts["excerpt"]["laser/x"]["displacement_m"]["t_ms"]
     assert (min(times), max(times)) == (pytest.approx(-500, abs=20), pytest.approx(250, abs=20))
@@ -86,14 +77,15 @@ def test_a_log_that_ends_sooner_has_the_trip_as_far_as_it_goes() -> None:
 
 
 def test_all_that_came_together_is_named_and_what_came_later_is_listed() -> None:
-    trips, recent = made(), Recent(10.0)
-    trips.tripped("amplitude", "laser/x: 12.1 mm, limits.amplitude_m is 11 mm", T0)
-    trips.tripped("amplitude", "laser/x: 12.4 mm, limits.amplitude_m is 11 mm", T0 + 20_000_000)  # the same, again
-    trips.tripped("amplitude", "laser/y: 11.9 mm, limits.amplitude_m is 11 mm", T0 + 100_000_000)
-    trips.tripped("runaway", "the drive reports 700 rpm, 600 rpm were commanded", T0 + 300_000_000)
-    trips.tripped("silent angles", "pendulums: silent for 1.4 s", T0 + 400_000_000)
-    trips.tripped("silent angles", "pendulums: silent for 1.5 s", T0 + 500_000_000)
-    event = only(trips.end(T0 + S, recent))
+    trips = made(
+        ("amplitude", "laser/x: 12.1 mm, limits.amplitude_m is 11 mm", 0.0),
+        ("amplitude", "laser/x: 12.4 mm, limits.amplitude_m is 11 mm", 0.02),  # the same, again
+        ("amplitude", "laser/y: 11.9 mm, limits.amplitude_m is 11 mm", 0.1),
+        ("runaway", "the drive reports 700 rpm, 600 rpm were commanded", 0.3),
+        ("silent angles", "pendulums: silent for 1.4 s", 0.4),
+        ("silent angles", "pendulums: silent for 1.5 s", 0.5),
+    )
+    event = only(trips.end(T0 + S, Recent(10.0)))
     assert event.facts["interlocks"] == ["amplitude", "runaway"]
     assert [(r["text"][:13], r["after_ms"]) for r in event.facts["reasons"]] == [
         ("laser/x: 12.1", 0.0),
@@ -106,45 +98,13 @@ def test_all_that_came_together_is_named_and_what_came_later_is_listed() -> None
     assert [reason.text for reason in trips.reasons] == [r["text"] for r in event.facts["reasons"]]
 
 
-def test_the_speed_is_the_last_word_before_the_trip() -> None:
-    trips, recent = made(), Recent(10.0)
-    for at, rpm in ((-2, 590.0), (-1, 601.5), (1, 3.0)):
-        recent.add(motor(T0 + at * S // 10, rpm))
-    trips.tripped("runaway", "x", T0)
-    assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == 601.5
-
-
-def test_without_a_drive_the_index_marks_give_the_speed() -> None:
-    roles = load_rig("by_hand").roles
-    for marks, speed in (([], None), ([-100], None), ([-300, -100, 200], 300.0)):
-        trips, recent = made(roles), Recent(10.0)
-        for number, ms in enumerate(marks):
-            at = np.array([T0 + ms * 1_000_000])
-            columns = {"revolutions": np.array([number]), "node_time_us": at // 1000}
-            recent.add(Batch(TACHO, at, np.zeros(1, np.uint32), columns))
-        trips.tripped("no index mark", "x", T0)
-        assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == speed
-
-
-def test_index_marks_give_the_speed_of_a_drive_that_reports_another() -> None:
-    for last_ms, speed in ((-20, 600.0), (-900, 476.0)):  # then the marks have ceased
-        trips, recent = made(), Recent(10.0)
-        recent.add(motor(T0 - S // 20, 476.0))
-        for number, ms in enumerate((last_ms - 100, last_ms)):
-            at = np.array([T0 + ms * 1_000_000])
-            recent.add(Batch(TACHO, at, np.zeros(1, np.uint32), {"revolutions": np.array([number])}))
-        trips.tripped("speed disagreement", "x", T0)
-        assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == speed
-
-
 @given(st.integers(0, 9000), st.integers(1, 300), st.integers(0, 2**31))
 def test_the_excerpt_is_bounded_and_is_json_and_keeps_peaks_and_gaps(n: int, none: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     seen = rng.standard_normal(8000) * 1e-3
     seen[n : n + none] = np.nan
-    trips, recent = made(), Recent(10.0)
+    trips, recent = made(("blind sensor", "laser/x: nothing", 0.0)), Recent(10.0)
     recent.add(laser(T0 - S, 2.0, seen))
-    trips.tripped("blind sensor", "laser/x: nothing", T0)
     event = only(trips.end(T0 + S, recent))
     packed = channels.pack_note({"kind": event.kind, "device": "host", "text": event.text, **event.facts})
     assert len(packed) < 16_000
@@ -181,12 +141,13 @@ def test_a_whole_trip_on_the_bench_goes_into_a_log_and_back(tmp_path: Path) -> N
         recent = Recent(10.0)
         hear = bench.interlocks.feed
         bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]
-        trips = Trips(channels.CHANNELS.values(), bench.rig.roles)
+        trips = made()
         bench.turn(600)
         bench.fails("laser_x", "code", 262076)
         bench.pass_time(0.5)
         for at_s, stop in bench.stops:
-            trips.tripped(stop.interlock, stop.text, bench.now_ns + round((at_s - bench.now_s) * 1e9))
+            at_ns = bench.now_ns + round((at_s - bench.now_s) * 1e9)
+            trips.tripped(Reason(stop.interlock, stop.text, at_ns, bench.interlocks.speed_rpm(at_ns)))
         bench.pass_time(1.0)
         event = only(trips.tick(bench.now_ns, recent))
     with LogFile(tmp_path / "a.mcap", {"test": "record"}, {}, (), T0) as log:
