@@ -13,7 +13,8 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.core import Core
 from daq.acquisition.edge import Edge
 from daq.acquisition.effects import Effect, Note
-from daq.acquisition.reader import DeviceReader, OpenDevice
+from daq.acquisition.life import Stage
+from daq.acquisition.reader import DeviceReader
 from daq.acquisition.rotor_command import RotorCommand
 from daq.drivers.contract import Poller
 from daq.drivers.devices import Device
@@ -101,7 +102,8 @@ class Links:
         """Make a reader. It may collect bytes only if the device counts its samples and host times are not used."""
         driver = self._devices[name].driver
         counts = "counts exactly" in driver.claims
-        return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm)
+        restart = partial(self._restart_decoding, name)
+        return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm, restart)
 
     def __bool__(self) -> bool:
         return bool(self._readers)
@@ -133,7 +135,7 @@ class Links:
                     self._start_stream(name, device)
 
     def _start_stream(self, name: str, device: Device) -> None:
-        found = device.driver.open(name, device.settings, self._talk(name))
+        found = device.driver.open(name, device.settings, self._readers[name])
         self._identities[name] = {"driver": device.driver.name, "port": device.line.port, **found}
         self._check_serial(name, device)
         self._reported[name] = frozenset(found)
@@ -169,7 +171,7 @@ class Links:
             if name not in self._readers:
                 continue
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
-                device.driver.stop(device.settings, self._talk(name))
+                device.driver.stop(device.settings, self._readers[name])
 
     def _stop_pollers(self) -> None:
         for poller in self._pollers.values():
@@ -214,13 +216,15 @@ class Links:
         """Return the time of the last byte of any device, s."""
         return max((reader.heard_s for reader in self._readers.values()), default=self._clock.wall_s())
 
-    def _talk(self, name: str) -> OpenDevice:
-        return OpenDevice(self._readers[name], self._clock, partial(self._renew_pipeline, name))
+    def _restart_decoding(self, name: str) -> None:
+        """Give a device that is started a new pipeline, after its buffered bytes, which answered an earlier program.
 
-    def _renew_pipeline(self, name: str) -> None:
-        """Give a device a new pipeline after its buffered bytes were read, which answered an earlier program."""
-        with self.unread(name):
-            self._core.renew(name, self._devices[name].pipeline(self._identities.get(name, {})))
+        The pipeline of a device that is opened again continues: it derives a new start of the stream from the bytes of
+        the dialogue, as in a replay.
+        """
+        if self._core.life.stage is Stage.STARTING:
+            with self.unread(name):
+                self._core.renew(name, self._devices[name].pipeline(self._identities.get(name, {})))
 
     # --- devices that return -------------------------------------------------------------------------------------
 
@@ -293,7 +297,7 @@ class Links:
             self._lost(name, error)
         except _AnotherDevice as error:
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
-                device.driver.stop(device.settings, self._talk(name))
+                device.driver.stop(device.settings, self._readers[name])
             yield from self._refused(name, str(error))
         except DeviceError as error:
             if self._readers[name].bytes_in != heard:  # otherwise it is still silent, which was reported
@@ -305,7 +309,6 @@ class Links:
     def _set_up_again(self, name: str, command: RotorCommand) -> None:
         """Open a device again. Its poller pauses meanwhile, since the dialogue ends what the requests expect.
 
-        The pipeline continues. It derives a new start of the stream from the bytes of the dialogue, as in a replay.
         After a dialogue that failed with answers, the state of the device is unknown: it is not polled, so that it is
         silent and opened again.
         """
@@ -325,11 +328,11 @@ class Links:
 
     def _open_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]
-        talk = OpenDevice(self._readers[name], self._clock, lambda: None)
         drive = command.drive if name == command.drive_name else None
         if drive is not None:
             drive.pause()
-        found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
+        found = device.driver.open(name, device.settings, self._readers[name])
+        known = self._identities.get(name, {})
         fixed = self._reported[name] - device.driver.measured
         changed = [key for key in known if key in fixed and found.get(key) != known[key]]
         if changed:

@@ -107,7 +107,7 @@ class _Sparse:
 
 
 class DeviceReader:
-    """Reads one link.
+    """Reads one link. Implements Talk, for the dialogues of the device's driver.
 
     Args:
         name: name of the device in the rig file.
@@ -115,8 +115,10 @@ class DeviceReader:
         clock: host clock for the time stamps of arrivals.
         rest_s: rest between two turns, s. The cost of a turn depends on the wake-up, not on the number of bytes.
         calm: returns whether no interlock waits for the device's samples, so that the rest may be longer.
+        restart_decoding: see Talk.
 
     Attributes:
+        clock, restart_decoding: see above.
         lock: held while bytes of either direction are passed to log and pipeline, so that both get the same order.
             Sending does not wait for it.
         replies: text answers of the device.
@@ -125,7 +127,13 @@ class DeviceReader:
     """
 
     def __init__(
-        self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01, calm: Callable[[], bool] = bool
+        self,
+        name: str,
+        link: Link,
+        clock: HostClock,
+        rest_s: float = 0.01,
+        calm: Callable[[], bool] = bool,
+        restart_decoding: Callable[[], None] = lambda: None,
     ) -> None:
         self.name: str = name
         self.link: Link = link
@@ -133,7 +141,8 @@ class DeviceReader:
         self.replies: queue.Queue[str] = clock.queue()
         self.bytes_in: int = 0
         self.heard_s: float = clock.wall_s()
-        self._clock = clock
+        self.clock: HostClock = clock
+        self.restart_decoding: Callable[[], None] = restart_decoding
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # sent but not yet taken, each with its host time
         self._rest_s, self._calm = rest_s, calm
@@ -148,7 +157,7 @@ class DeviceReader:
         """
         with self._writing:  # the order on the link is the order in the log
             with self._stamping:
-                self._sent.append((data, self._clock.now_ns()))
+                self._sent.append((data, self.clock.now_ns()))
             self.link.write(data)
 
     def sent(self) -> list[tuple[bytes, int]]:
@@ -165,7 +174,7 @@ class DeviceReader:
                 the host time of the last arrival, ns.
             fail: called once, with the error of a lost link or an exception of `take`.
         """
-        self.heard_s = self._clock.wall_s()
+        self.heard_s = self.clock.wall_s()
         turns = self.turns(take)
 
         def failed(error: Exception) -> None:
@@ -195,7 +204,7 @@ class DeviceReader:
         wanted = next(turns)
         while not self._ending:
             if isinstance(wanted, Rest):
-                self._clock.wait(wanted.seconds)
+                self.clock.wait(wanted.seconds)
                 wanted = turns.send(b"")
                 continue
             try:
@@ -223,16 +232,16 @@ class DeviceReader:
             if rested or data or self._sent:
                 self._arrived(rested + data, take)
                 is_isolated, rested = bool(rested) and not data, b""  # cleared here: the bytes must not be taken twice
-                if not sparse.arrived(is_isolated, bool(data), self._clock.wall_s()):
+                if not sparse.arrived(is_isolated, bool(data), self.clock.wall_s()):
                     yield Rest(max(self._rest_s, _CALM_REST_S) if self._calm() else self._rest_s)
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:
-        host_ns = self._clock.now_ns()
+        host_ns = self.clock.now_ns()
         with self.lock:
             if data:
                 self.bytes_in += len(data)
-                self.heard_s = self._clock.wall_s()
+                self.heard_s = self.clock.wall_s()
             if not self._sent:  # the usual case
                 take((), data, host_ns)
                 return
@@ -240,32 +249,3 @@ class DeviceReader:
             take([item for item in sent if item[1] <= host_ns], data, host_ns)
             if later := [item for item in sent if item[1] > host_ns]:
                 take(later, b"", host_ns)
-
-
-@dataclass(frozen=True)
-class OpenDevice:
-    """An open device for the dialogues of its driver; implements Talk.
-
-    Attributes:
-        reader: reader of the device.
-        clock: host clock for the waits of dialogues.
-        restart_decoding: gives the device a new pipeline.
-    """
-
-    reader: DeviceReader
-    clock: HostClock
-    restart_decoding: Callable[[], None]
-
-    @property
-    def replies(self) -> queue.Queue[str]:
-        """See Talk."""
-        return self.reader.replies
-
-    @property
-    def bytes_in(self) -> int:
-        """See Talk."""
-        return self.reader.bytes_in
-
-    def send(self, data: bytes) -> None:
-        """See Talk."""
-        self.reader.send(data)

@@ -8,11 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.acquisition.session import Session
-from daq.channels import LOCKS_CLOSED
 from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.commands import RigCommands
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
+from daq.guided_tests.hands import CommandedLocks, Operator, Progress
 from daq.guided_tests.runner import NotReached, Runner, TestDone
 from daq.guided_tests.test_inputs import requested_test
 from rig_basics.units import TO_RPM
@@ -121,13 +120,7 @@ def zero_counters(session: Session) -> None:
     Raises:
         DeviceError: a command was refused, a lock does not close, or the rig has no locks that can be commanded.
     """
-    session.rotor.command_locks("lock both")
-
-    def closed() -> bool:
-        _, (flags,) = session.channels.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
-        return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == LOCKS_CLOSED
-
-    session.wait_for(closed, MAX_LOCK_S, "both locks to close")
+    CommandedLocks(session, session.wait_for).lock()
     session.clock.wait(_ZEROED_S)
     session.rotor.command_locks("zero")
     session.clock.wait(_ZEROED_S)

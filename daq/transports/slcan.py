@@ -23,7 +23,7 @@ _FRAME = re.compile(
 )
 _ANSWER = re.compile(rb"[zZ]?|F[0-9A-Fa-f]{2}|[Vv][0-9A-Za-z.]{4}|N(?:[0-9A-Za-z]{4}){1,2}")
 _ORDER = re.compile(rb"|[CLOAPEFVvN]|S[0-8]|s[0-9A-Fa-f]{4,6}|[mM][0-9A-Fa-f]{8}|[XZQUW][0-9]")
-_LINE_END = re.compile(rb"[\r\x07]")
+_LINE_END = re.compile(rb"([\r\x07])")
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ class LineDecoder:
 
     def __init__(self, *, of_host: bool = False) -> None:
         self._words = _ORDER if of_host else _ANSWER
-        self._line = bytearray()
-        self._overlong = False
+        self._begun = b""  # line without its end; cut where it is too long to be a line
 
     def feed(self, data: bytes) -> DecodedLines:
         """Decode the next bytes.
@@ -73,53 +72,26 @@ class LineDecoder:
         """
         frames: list[CanFrame] = []
         other: list[str] = []
-        if not self._line and not self._overlong and b"\x07" not in data and b"\n" not in data:
-            return self._plain_lines(data)
-        damaged = position = 0
-        for end in _LINE_END.finditer(data):
-            self._extend(data[position : end.start()])
-            position = end.end()
-            line = bytes(self._line)
-            bell = end[0] == b"\x07"
-            if self._overlong:
-                damaged += 1
-            elif line or not bell:
-                damaged += _take(line, self._words, frames, other)
-            if bell:
-                other.append(BEL)
-            self._line.clear()
-            self._overlong = False
-        self._extend(data[position:])
-        return DecodedLines(frames, other, damaged)
-
-    def _plain_lines(self, data: bytes) -> DecodedLines:
-        """Decode lines that end with CR when no line is incomplete: the usual case, without BEL and LF."""
-        frames: list[CanFrame] = []
-        other: list[str] = []
-        *lines, rest = data.split(b"\r")
         damaged = 0
-        for line in lines:
-            damaged += 1 if len(line) > LINE_LIMIT_BYTES else _take(line, self._words, frames, other)
-        self._extend(rest)
+        *pieces, rest = _LINE_END.split(self._begun + data)
+        for piece, end in zip(pieces[::2], pieces[1::2], strict=True):
+            line = _cut(piece)
+            content = _read(line, self._words)
+            if isinstance(content, CanFrame):
+                frames.append(content)
+            elif content is None:
+                damaged += 1
+            elif line or end == b"\r":  # nothing stands before a BEL
+                other.append(content)
+            if end == b"\x07":
+                other.append(BEL)
+        self._begun = _cut(rest)
         return DecodedLines(frames, other, damaged)
 
-    def _extend(self, piece: bytes) -> None:
-        if not self._line:  # a CR LF adapter: the LF belongs to the line before
-            piece = piece.lstrip(b"\n")
-        self._line += piece[: LINE_LIMIT_BYTES + 1]
-        if len(self._line) > LINE_LIMIT_BYTES:
-            self._overlong = True
-            del self._line[LINE_LIMIT_BYTES:]
 
-
-def _take(line: bytes, words: re.Pattern[bytes], frames: list[CanFrame], other: list[str]) -> int:
-    """Append one line to the frames or to the other lines; return 1 if it is damaged, otherwise 0."""
-    content = _read(line, words)
-    if isinstance(content, CanFrame):
-        frames.append(content)
-    elif content is not None:
-        other.append(content)
-    return content is None
+def _cut(line: bytes) -> bytes:
+    """Return a line without the LF of the line before, cut behind the bytes that are too many."""
+    return line.lstrip(b"\n")[: LINE_LIMIT_BYTES + 1]
 
 
 @lru_cache(4096)

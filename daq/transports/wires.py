@@ -13,9 +13,11 @@ import select
 import socket
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+
+from typing_extensions import override
 
 from daq.errors import LinkLost
 from daq.transports.slcan import AdapterText
@@ -33,33 +35,79 @@ _BUFFER_BYTES = 4 * 1024 * 1024  # size of the send queue; larger than an adapte
 _MAX_AGE_S = 1.5  # … for this long, s: older bytes are dropped
 
 
-class Wire(Protocol):
-    """One end of a cable."""
+class Wire(ABC):
+    """One end of a cable, with a bounded queue of bytes that could not be sent yet.
+
+    Queued bytes beyond the limits of size and age are dropped and counted, the oldest first: a host that connects to a
+    port without a reader receives current data.
+
+    Args:
+        adapter: whether it is the line of a CAN adapter: slcan text on the wire, records of `can_frames` for its bus.
+
+    Attributes:
+        port: name by which the host opens it.
+        overrun_bytes: bytes that the host did not fetch in time, so far.
+    """
 
     port: str
 
-    @property
-    def overrun_bytes(self) -> int:
-        """Bytes that the host did not fetch in time, so far."""
-        ...
+    def __init__(self, adapter: bool = False) -> None:
+        self.overrun_bytes: int = 0
+        self._text = AdapterText() if adapter else None
+        self._offered = b""  # text of the offered records that is not sent yet
+        self._parts: deque[tuple[float, bytes]] = deque()
+        self._size = 0
 
-    @overrun_bytes.setter
-    def overrun_bytes(self, value: int) -> None: ...
-
+    @abstractmethod
     def descriptor(self) -> int | None:
         """Return the file descriptor to wait on for incoming bytes; None if no host is connected."""
-        ...
+
+    @abstractmethod
+    def connected(self) -> bool:
+        """Whether a host has the port open."""
+
+    @abstractmethod
+    def pull(self) -> None:
+        """Remove the port, as if the cable were pulled.
+
+        If the system allows it, the port's name stays reserved until `close`. A program that opens it in the meantime
+        gets an error, not a port of another program under the same name.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Remove the port and release its name."""
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """Return the bytes on the wire that the host sent; never blocks."""
+
+    @abstractmethod
+    def _write(self, data: bytes) -> None:
+        """See `send`, of the bytes on the wire."""
+
+    @abstractmethod
+    def _fit(self, data: bytes) -> int:
+        """See `offer`, of the bytes on the wire."""
 
     def receive(self) -> bytes:
-        """Return the bytes that the host sent; never blocks."""
-        ...
+        """Return the bytes that the host sent; never blocks. An adapter answers at once."""
+        data = self._read()
+        if self._text is None:
+            return data
+        records, answers = self._text.received(data)
+        if answers:
+            self._write(answers)
+        return records
 
     def send(self, data: bytes) -> None:
         """Queue bytes for the host and send what fits; never blocks."""
-        ...
+        self._write(data if self._text is None else self._text.sent(data))
 
     def offer(self, data: bytes) -> int:
         """Send as many bytes as fit without queueing; never blocks.
+
+        Records of an adapter count as sent when all of their text is; they are offered again until then.
 
         Returns:
             Number of bytes sent.
@@ -67,35 +115,11 @@ class Wire(Protocol):
         Raises:
             LinkLost: the host has closed the port.
         """
-        ...
-
-    def connected(self) -> bool:
-        """Whether a host has the port open."""
-        ...
-
-    def pull(self) -> None:
-        """Remove the port, as if the cable were pulled.
-
-        If the system allows it, the port's name stays reserved until `close`. A program that opens it in the meantime
-        gets an error, not a port of another program under the same name.
-        """
-        ...
-
-    def close(self) -> None:
-        """Remove the port and release its name."""
-        ...
-
-
-class _Outbox:
-    """A bounded queue of bytes that could not be sent yet. Bytes beyond its size or age limit are dropped and counted.
-
-    The oldest bytes are dropped first: a host that connects to a port without a reader receives current data.
-    """
-
-    def __init__(self) -> None:
-        self.overrun_bytes: int = 0
-        self._parts: deque[tuple[float, bytes]] = deque()
-        self._size = 0
+        if self._text is None:
+            return self._fit(data)
+        self._offered = self._offered or self._text.sent(data)
+        self._offered = self._offered[self._fit(self._offered) :] if self._offered else b""
+        return 0 if self._offered else len(data)
 
     def _queue(self, data: bytes) -> None:
         now = time.monotonic()
@@ -121,16 +145,17 @@ class _Outbox:
             self._parts.popleft()
 
 
-class PtyWire(_Outbox):
+class PtyWire(Wire):
     """A pseudo-terminal; the host opens `port` as a serial line.
 
     Args:
         notice_host: whether `connected` follows the host's opening and closing of the port. Otherwise the port is
             always reported as connected, like a cable whose other end is not plugged in.
+        adapter: see Wire.
     """
 
-    def __init__(self, notice_host: bool = False) -> None:
-        super().__init__()
+    def __init__(self, notice_host: bool = False, adapter: bool = False) -> None:
+        super().__init__(adapter)
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # before a host opens it: a line in cooked mode would echo the sent bytes
         os.set_blocking(self._master, False)
@@ -139,24 +164,24 @@ class PtyWire(_Outbox):
             os.close(self._slave)
             self._slave = -1
 
+    @override
     def descriptor(self) -> int | None:
-        """See Wire."""
         return self._master if self._master >= 0 else None
 
-    def receive(self) -> bytes:
-        """See Wire."""
+    @override
+    def _read(self) -> bytes:
         with contextlib.suppress(OSError):  # usual: no bytes wait, or no host has the port open
             return os.read(self._master, 65536)
         return b""
 
-    def send(self, data: bytes) -> None:
-        """See Wire."""
+    @override
+    def _write(self, data: bytes) -> None:
         self._queue(data)
         with contextlib.suppress(OSError):  # usual: no host has the port open, the bytes wait
             self._drain(lambda data: os.write(self._master, data))
 
-    def offer(self, data: bytes) -> int:
-        """See Wire."""
+    @override
+    def _fit(self, data: bytes) -> int:
         if not self.connected():
             raise LinkLost(f"{self.port}: the program that had it open has closed it")
         try:
@@ -166,20 +191,21 @@ class PtyWire(_Outbox):
         except OSError as error:
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
 
+    @override
     def connected(self) -> bool:
-        """See Wire."""
         if self._master < 0:
             return False
         watch = select.poll()
         watch.register(self._master, 0)  # poll reports POLLHUP without being requested
         return not any(events & select.POLLHUP for _, events in watch.poll(0))
 
+    @override
     def pull(self) -> None:
-        """See Wire. Linux keeps a pty's number reserved while any process has the host's end open."""
+        """Linux keeps a pty's number reserved while any process has the host's end open."""
         self._master = _closed(self._master)
 
+    @override
     def close(self) -> None:
-        """See Wire."""
         self.pull()
         self._slave = _closed(self._slave)
 
@@ -191,11 +217,11 @@ def _closed(descriptor: int) -> int:
     return -1
 
 
-class TcpWire(_Outbox):
+class TcpWire(Wire):
     """A TCP port on loopback for machines without ptys; one host at a time."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, adapter: bool = False) -> None:
+        super().__init__(adapter)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
         self.port: str = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
@@ -241,14 +267,14 @@ class TcpWire(_Outbox):
                 self._unread += data
         self._disconnect()
 
+    @override
     def descriptor(self) -> int | None:
-        """See Wire."""
         self._accept()
         descriptor = self._listener.fileno() if self._peer is None else self._peer.fileno()
         return descriptor if descriptor >= 0 else None
 
-    def receive(self) -> bytes:
-        """See Wire."""
+    @override
+    def _read(self) -> bytes:
         self._accept()
         kept, self._unread = self._unread, b""
         if kept or self._peer is None:
@@ -263,8 +289,9 @@ class TcpWire(_Outbox):
             self._disconnect()
         return data
 
-    def send(self, data: bytes) -> None:
-        """See Wire. Without a host the bytes are discarded, as on an open cable."""
+    @override
+    def _write(self, data: bytes) -> None:
+        """Without a host the bytes are discarded, as on an open cable."""
         if self._peer is None:
             return
         self._queue(data)
@@ -273,8 +300,8 @@ class TcpWire(_Outbox):
         except OSError:  # usual: the host has closed the connection
             self._keep_last_bytes()
 
-    def offer(self, data: bytes) -> int:
-        """See Wire."""
+    @override
+    def _fit(self, data: bytes) -> int:
         if self._peer is None:
             raise LinkLost(f"{self.port}: the program that was connected is gone")
         try:
@@ -285,70 +312,20 @@ class TcpWire(_Outbox):
             self._keep_last_bytes()
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
 
+    @override
     def connected(self) -> bool:
-        """See Wire."""
         self._accept()
         return self._peer is not None
 
+    @override
     def pull(self) -> None:
-        """See Wire. The number of a TCP port is not kept reserved: the system may assign it again."""
+        """The number of a TCP port is not kept reserved: the system may assign it again."""
         self.close()
 
+    @override
     def close(self) -> None:
-        """See Wire."""
         self._disconnect()
         self._listener.close()
-
-
-class AdapterWire:
-    """A wire to a simulated CAN adapter: slcan text on the wire, records of `can_frames` for its bus."""
-
-    def __init__(self, wire: Wire) -> None:
-        self._wire, self._text = wire, AdapterText()
-        self.port: str = wire.port
-        self._offered = b""  # text of the offered records that is not sent yet
-
-    @property
-    def overrun_bytes(self) -> int:
-        """See Wire; of the text."""
-        return self._wire.overrun_bytes
-
-    @overrun_bytes.setter
-    def overrun_bytes(self, value: int) -> None:
-        self._wire.overrun_bytes = value
-
-    def descriptor(self) -> int | None:
-        """See Wire."""
-        return self._wire.descriptor()
-
-    def receive(self) -> bytes:
-        """See Wire. The adapter answers at once."""
-        records, answers = self._text.received(self._wire.receive())
-        if answers:
-            self._wire.send(answers)
-        return records
-
-    def send(self, data: bytes) -> None:
-        """See Wire."""
-        self._wire.send(self._text.sent(data))
-
-    def offer(self, data: bytes) -> int:
-        """See Wire. The records count as sent when all of their text is; they are offered again until then."""
-        self._offered = self._offered or self._text.sent(data)
-        self._offered = self._offered[self._wire.offer(self._offered) :] if self._offered else b""
-        return 0 if self._offered else len(data)
-
-    def connected(self) -> bool:
-        """See Wire."""
-        return self._wire.connected()
-
-    def pull(self) -> None:
-        """See Wire."""
-        self._wire.pull()
-
-    def close(self) -> None:
-        """See Wire."""
-        self._wire.close()
 
 
 def make_wire(kind: str, notice_host: bool = False, *, adapter: bool = False) -> Wire:
@@ -365,5 +342,4 @@ def make_wire(kind: str, notice_host: bool = False, *, adapter: bool = False) ->
     has_pty = sys.platform != "win32"
     if kind == "pty" and not has_pty:
         raise OSError('ptys need Linux or macOS; use "tcp" on this system')
-    wire = PtyWire(notice_host) if kind in ("pty", "auto") and has_pty else TcpWire()
-    return AdapterWire(wire) if adapter else wire
+    return PtyWire(notice_host, adapter) if kind in ("pty", "auto") and has_pty else TcpWire(adapter)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from daq.acquisition.reader import DeviceReader, OpenDevice
+from daq.acquisition.reader import DeviceReader
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.optoncdt import dialogue as lasers, sensor_answers, wire as optoncdt
@@ -117,7 +117,8 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
                 line.pipeline = make_pipelines(rig.devices, {})["laser_x"]
                 samples.clear()
 
-        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(line.reader, CLOCK, clear))
+        line.reader.restart_decoding = clear
+        identity = lasers.configure("laser_x", rig.devices["laser_x"], line.reader)
         assert identity["serial"] == "14200001"
         wait_for(lambda: sum(samples) > 400)
         assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
@@ -131,6 +132,4 @@ def test_the_error_for_a_sensor_that_does_not_stop_contains_what_to_check(monkey
         with pytest.raises(
             DeviceError, match=r"sent OUTPUT NONE several times, it goes on streaming\. Does its line carry"
         ):
-            lasers.configure(
-                "laser_x", load_rig("virtual").devices["laser_x"], OpenDevice(line.reader, CLOCK, lambda: None)
-            )
+            lasers.configure("laser_x", load_rig("virtual").devices["laser_x"], line.reader)
