@@ -27,6 +27,7 @@ _FALLEN = 0.8  # share of the extreme at which it has passed
 _LEAST_M = 30e-6  # of a movement
 _NOISES = 3.0  # peak-to-peak values at rest that a movement exceeds
 _QUIET_S = 30.0  # longest wait for the column to come to rest between two taps, s
+_PATIENCE_S = 60.0  # longest wait for a tap, s
 _POLL_S = 0.05
 
 
@@ -147,16 +148,15 @@ def _advice(
     return f"look at its place, or correct devices.{sensor.device}.direction_deg"
 
 
-def tap_test(session: Session, prompt: Callable[[str], None], patience_s: float = 60.0) -> dict[str, Checks]:
+def tap_test(session: Session, prompt: Callable[[str], None]) -> dict[str, Checks]:
     """Wait for a tap along each measured axis and return a check of each sensor's direction, by device.
 
     Args:
         session: the open session; the rotor stands.
         prompt: called with each request to the operator.
-        patience_s: longest wait for a tap, s.
 
     Raises:
-        NoTap: no movement was seen in that time.
+        NoTap: no movement was seen in time.
     """
     roles = session.rig.roles
     taps: dict[Axis, Tap] = {}
@@ -164,10 +164,10 @@ def tap_test(session: Session, prompt: Callable[[str], None], patience_s: float 
         _wait_for_rest(session)
         prompt(f"tap the disk once, by hand, along +{sensor.axis}")
         begun_ns = session.clock.now_ns() - int(_BEFORE_S * 1e9)
-        end_s = session.clock.wall_s() + patience_s
+        end_s = session.clock.wall_s() + _PATIENCE_S
         while (tap := first_extreme(_newest(session, begun_ns))) is None:
             if session.clock.wall_s() > end_s:
-                raise NoTap(f"no movement along +{sensor.axis} was seen within {patience_s:g} s")
+                raise NoTap(f"no movement along +{sensor.axis} was seen within {_PATIENCE_S:g} s")
             session.clock.wait(_POLL_S)
         taps[sensor.axis] = tap
     return directions(roles, taps)

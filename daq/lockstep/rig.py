@@ -34,8 +34,7 @@ class SimulatedDisk:
         room_bytes: free space.
     """
 
-    def __init__(self, room_bytes: int = 100 * 2**30) -> None:
-        self.room_bytes = room_bytes
+    room_bytes: int = 100 * 2**30
 
     def free_bytes(self, folder: Path) -> int:
         """See Disk."""

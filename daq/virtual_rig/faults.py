@@ -54,7 +54,9 @@ class FaultInjector:
         Raises:
             ValueError: the device does not exist.
         """
-        own = self._far_end(device).fault_kinds
+        if device not in self._far_ends:
+            raise ValueError(f"no device {device!r}; this rig has {', '.join(self._far_ends)}")
+        own = self._far_ends[device].fault_kinds
         return {**own, **{what: kind for what, kind in LINE_FAULTS.items() if what not in own}}
 
     def standing(self, device: str) -> dict[str, float]:
@@ -73,52 +75,36 @@ class FaultInjector:
             ValueError: device or fault do not exist, the value is invalid, or the fault cannot be ended or timed.
         """
         device, what = str(request.get("device")), str(request.get("what"))
-        far_end = self._far_end(device)
-        kind = self.kinds(device).get(what, FaultKind("not listed", end=None))
+        kinds = self.kinds(device)
+        if what not in kinds:
+            raise ValueError(f"{device}: no fault {what!r}; it can have: {', '.join(kinds)}")
+        kind = kinds[what]
         value, seconds = request.get("value", kind.value), request.get("seconds")
         if (request.get("end") or seconds is not None) and kind.end is None:
-            raise ValueError(
-                f"{what!r} of {device} cannot be ended or timed: it happens once, or is not listed by the device"
-            )
+            raise ValueError(f"{what!r} of {device} cannot be ended or timed: it happens once")
         if request.get("end"):
             value = kind.end
         if seconds is not None and not 0 < number(request, "seconds") <= 86_400:
             raise ValueError(f"expected seconds above 0 and up to 86400, got {seconds!r}")
-        self._apply(device, far_end, what, value, now_s)
-        self._ends_s.pop((device, what), None)
-        if seconds is not None and (device, what) in self._standing:
-            self._ends_s[device, what] = now_s + seconds
-
-    def _far_end(self, device: str) -> FarEnd:
-        if device not in self._far_ends:
-            raise ValueError(f"no device {device!r}; this rig has {', '.join(self._far_ends)}")
-        return self._far_ends[device]
-
-    def _apply(self, device: str, far_end: FarEnd, what: str, value: Any, now_s: float) -> None:
-        kind = self.kinds(device).get(what)
-        if kind is None:  # a device may accept faults that it does not list
-            self._unlisted(device, far_end, what, value)
-            return
         low, high = kind.limits
         if not isinstance(value, int | float) or not low <= value <= high:
             meant = f"{kind.meaning}, {low:g} to {high:g}" if kind.meaning else "1, or 0 to end it"
             raise ValueError(f"{what!r} of {device} takes {meant}; got {value!r}")
+        self._apply(device, what, kind, value, now_s)
+        self._ends_s.pop((device, what), None)
+        if seconds is not None and (device, what) in self._standing:
+            self._ends_s[device, what] = now_s + seconds
+
+    def _apply(self, device: str, what: str, kind: FaultKind, value: float, now_s: float) -> None:
+        far_end = self._far_ends[device]
         if what in far_end.fault_kinds:
             far_end.fail(what, value)
         elif what == "power" and bool(value) != ((device, what) in self._standing):
             far_end.power(not value, now_s)
-        if kind.end is None:
-            return
         if value == kind.end:
             self._standing.pop((device, what), None)
-        else:
+        elif kind.end is not None:
             self._standing[device, what] = value
-
-    def _unlisted(self, device: str, far_end: FarEnd, what: str, value: Any) -> None:
-        try:
-            far_end.fail(what, value)
-        except ValueError as error:
-            raise ValueError(f"{device}: no fault {what!r}; it can have: {', '.join(self.kinds(device))}") from error
 
     def end_in_time(self, now_s: float) -> None:
         """End the faults whose duration is over."""
