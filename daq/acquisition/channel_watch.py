@@ -14,6 +14,8 @@ from daq.items import DeviceEvent
 
 HOST = "host"
 """Device name in events of the host. A replay does not expect these events, since no device's bytes contain them."""
+HOST_S = 0.3
+"""Largest delay that the threads of the host usually cause, s; the shortest watchdogs of drives are about as long."""
 
 
 _MAX_DEADLINE_S = 9e8  # stands for infinity in integer ns

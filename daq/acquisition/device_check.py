@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.displacement_check import ObservedDisplacement, displacement_checks
+from daq.acquisition.displacement_check import STDS, ObservedDisplacement, displacement_checks
 from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks, DeviceCheck, at_most, longer
@@ -31,7 +31,6 @@ _MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, o
 _FAST_HZ = 20.0  # speed for which errors of time are stated as angles
 _MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at that speed
 _CLOCK_S = 5.0  # observation that is necessary for it; a shorter one is less certain
-_STDS = 3.0  # of the bounds of errors
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ def _locks(angles: PendulumAngles, seen: ObservedAngles) -> Checks:
             angle = round(expected + place.off_deg, 2)
             out[f"locked_{name}_deg"] = DeviceCheck(angle, f"{expected} ± {tolerance:.2g}", place.plausible, advice)
             noise = float(np.std(seen.theta_rad[:, "AB".index(name)])) / angles.step_rad
-            bound = _STDS * noise / math.sqrt(2 * len(seen.theta_rad))
+            bound = STDS * noise / math.sqrt(2 * len(seen.theta_rad))
             steady = at_most(noise, bound, _MAX_ANGLE_NOISE_COUNTS)
             note = {
                 True: "",

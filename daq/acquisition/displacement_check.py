@@ -29,7 +29,8 @@ With noise of at least a third of its step, a sensor repeats a value with a prob
 normal distribution within 1.5 standard deviations. So many equal samples then have a probability below 1e-15.
 """
 _MAX_ORDER, _ORDER_TOLERANCE = 10, 0.02  # of the rotor's speed; deviation of a line from an order, of its frequency
-_STDS = 3.0
+STDS = 3.0
+"""Bounds of errors, in standard deviations."""
 _RMS_SCATTER = 1.8
 """Relative scatter of the rms from the median of N = n/4 ordinates, times √n: a median has 1/(ln 2 √N), the Hann window
 correlates neighbours, a factor of 1.22, and the root halves it.
@@ -81,7 +82,7 @@ def displacement_checks(
 def _invalid(x: Array, seconds: float) -> DeviceCheck:
     """Check the share of invalid samples; none among n are less than 3/n with a probability of 95 %."""
     share = float(np.mean(np.isnan(x)))
-    bound = (3.0 + _STDS * math.sqrt(len(x) * share * (1 - share))) / len(x)
+    bound = (3.0 + STDS * math.sqrt(len(x) * share * (1 - share))) / len(x)
     few = at_most(share, bound, _MAX_INVALID_SHARE)
     note = {
         True: "",
@@ -114,7 +115,7 @@ def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement, rotor_rpm: fl
         note = f"not resolved: {_MIN_SPECTRUM} valid samples are needed"
         return {"noise_um": DeviceCheck(None, f"at most {most_um:.3g} rms", None, note)}
     noise_um = _white_rms(reading) * 1e6
-    bound_um = _STDS * _RMS_SCATTER / math.sqrt(len(reading)) * noise_um
+    bound_um = STDS * _RMS_SCATTER / math.sqrt(len(reading)) * noise_um
     quiet = at_most(noise_um, bound_um, most_um)
     note = {
         True: "",
@@ -128,9 +129,7 @@ def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement, rotor_rpm: fl
     strong = [line for line in lines if line.amplitude_m * 1e6 > least_um]
     advice = "look at the supply, its earth and the shield of the cable, and at machines that shake the floor"
     worst_um = max((line.amplitude_m * 1e6 for line in lines), default=0.0)
-    hidden_um = (
-        2.0 * noise_um * math.sqrt((math.log(len(reading)) + _STDS) / len(reading))
-    )  # least line above the noise
+    hidden_um = 2.0 * noise_um * math.sqrt((math.log(len(reading)) + STDS) / len(reading))  # least line above the noise
     clear = False if strong else True if hidden_um <= least_um and seen.seconds >= MIN_LENGTH_S else None
     unclear = f"not resolved: observe for {math.ceil(MIN_LENGTH_S)} s or more, with less noise" if clear is None else ""
     out["steady_lines_um"] = DeviceCheck(

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections import deque
 
+from daq.acquisition.channel_watch import HOST_S
+
 RECENT_S = 10.0
 """Age up to which a late tick may explain a failure, s: ramps and time-outs of drives last seconds."""
-LATE_S = 0.3
-"""Lateness that may cause a failure, s: the shortest watchdogs of drives are about as long."""
 
 
 class HostLoad:
@@ -30,7 +30,7 @@ class HostLoad:
         """Register a tick."""
         if self._before_ns is not None:
             late_s = 1e-9 * (now_ns - self._before_ns) - self._period_s
-            if late_s >= LATE_S:
+            if late_s >= HOST_S:
                 self._late.append((now_ns, late_s))
         self._before_ns = now_ns
 
@@ -41,7 +41,7 @@ class HostLoad:
         worst_s = max((late_s for _, late_s in self._late), default=0.0)
         if self._before_ns is not None:  # a tick may be due for long
             worst_s = max(worst_s, 1e-9 * (now_ns - self._before_ns) - self._period_s)
-        if worst_s < LATE_S:
+        if worst_s < HOST_S:
             return ""
         return (
             f"This host was late by up to {worst_s:.1f} s in the last {RECENT_S:g} s, which can be the cause: end "

@@ -10,10 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from daq.acquisition.channel_watch import HOST_S
 from daq.acquisition.exceedance import TOGETHER
 from daq.acquisition.least_motion import MOMENT_SHARE, RUN_OUT_M
 from daq.acquisition.locked_watch import MOVED_S, SETTLE_S
 from daq.acquisition.motion_watch import BEATS, STUCK_M, SWING_M, TURNS, WINDOW_S
+from daq.acquisition.recorder import BACKLOG_BYTES
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
 from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
 from rig_configs.schema import Limits
@@ -26,8 +28,6 @@ DISPLACEMENT_S, ANGLES_S, SPEED_S = 0.3, 1.0, 0.3
 """Longest permitted time without a sample while the rotor turns, s."""
 AT_REST_S = 2.0
 """Longest permitted time without a sample at rest, for a channel that the test needs, s."""
-HOST_S = 0.3
-"""Additional delay that the threads of the host may cause, s."""
 BLIND_S = 0.25
 """Time over which more than half of the samples must be invalid, s of samples; a flash of light is shorter."""
 GONE_SAMPLES = 5
@@ -264,7 +264,7 @@ INTERLOCKS: tuple[Interlock, ...] = (
     Interlock(
         "disk",
         "the log",
-        "the disk is full, removed, or 64 MB behind",
+        f"the disk is full, removed, or {BACKLOG_BYTES / 2**20:g} MB behind",
         "constant",
         "0.25 s",
         f"{_STOP}; the log is complete",

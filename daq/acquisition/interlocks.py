@@ -13,8 +13,6 @@ import math
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,28 +33,13 @@ from daq.acquisition.interlock_table import (
 from daq.acquisition.least_motion import LeastMotion
 from daq.acquisition.locked_watch import LockedWatch
 from daq.acquisition.motion_watch import MotionWatch
-from daq.acquisition.rotor_watch import Finding, RotorWatch
+from daq.acquisition.rotor_watch import RotorWatch, Stop
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
 from daq.items import Batch, DeviceEvent
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 
 _FAULTS = {ENCODER_FAULT_A: "encoder A", ENCODER_FAULT_B: "encoder B"}
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Finding of an interlock that ends the run and stops the rotor.
-
-    Attributes:
-        cause: "device" if a device failed, "procedure" if the motion exceeded a limit.
-        text: the finding with its values, for the operator.
-        interlock: name of its row in `daq.acquisition.interlock_table`.
-    """
-
-    cause: Literal["device", "procedure"]
-    text: str
-    interlock: str = ""
 
 
 class Share:
@@ -67,6 +50,7 @@ class Share:
 
     Attributes:
         in_a_row: number of bad samples after the last good one.
+        mostly_bad: whether more than half of the samples are bad, over at least 80 % of the stretch.
     """
 
     def __init__(self, stretch_s: float) -> None:
@@ -76,9 +60,10 @@ class Share:
         )  # first and last time, ns; number of samples, of bad ones
         self._samples = self._bad = 0
         self.in_a_row: int = 0
+        self.mostly_bad: bool = False
 
-    def add(self, time_ns: NDArray[np.int64], bad: NDArray[np.bool_]) -> None:
-        """Add the samples of one read.
+    def add(self, time_ns: NDArray[np.int64], bad: NDArray[np.bool_]) -> bool:
+        """Add the samples of one read. Return whether they have changed `mostly_bad`.
 
         Args:
             time_ns: times, ns, shape (n,), n ≥ 1.
@@ -93,18 +78,9 @@ class Share:
             _, _, old_samples, old_bad = self._reads.popleft()
             self._samples -= old_samples
             self._bad -= old_bad
-
-    @property
-    def mostly_bad(self) -> bool:
-        """Whether more than half of the samples are bad, over at least 80 % of the stretch."""
-        if 2 * self._bad <= self._samples:
-            return False
-        return bool(self._reads) and self._reads[-1][1] - self._reads[0][0] >= 0.8 * self._stretch_ns
-
-    def clear(self) -> None:
-        """Remove all samples."""
-        self._reads.clear()
-        self._samples = self._bad = self.in_a_row = 0
+        before, stretch_ns = self.mostly_bad, self._reads[-1][1] - self._reads[0][0]
+        self.mostly_bad = 2 * self._bad > self._samples and stretch_ns >= 0.8 * self._stretch_ns
+        return self.mostly_bad != before
 
 
 class Interlocks:
@@ -147,9 +123,7 @@ class Interlocks:
         self._locked = LockedWatch(roles.zero_std_deg)
         self._seen_m = dict.fromkeys(self._lasers, 0.0)
         self._code = dict.fromkeys(self._lasers, 0)
-        self._blind = dict.fromkeys(self._lasers, False)
         self._sound = {bit: Share(FAULTY_S) for bit in _FAULTS}
-        self._faulty = dict.fromkeys(_FAULTS, False)
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
         self._commanded = False  # a speed was commanded, and the rotor has not come to rest since
@@ -163,10 +137,8 @@ class Interlocks:
         with self._lock:
             self.channels.begin(now_ns, expected=self._driving)
             self._faulty_samples = 0
-            for share in (*self._sight.values(), *self._sound.values()):
-                share.clear()
-            self._blind = dict.fromkeys(self._lasers, False)
-            self._faulty = dict.fromkeys(_FAULTS, False)
+            self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
+            self._sound = {bit: Share(FAULTY_S) for bit in _FAULTS}
 
     def end(self, now_ns: int) -> list[DeviceEvent]:
         """End the log and return its last events."""
@@ -245,7 +217,7 @@ class Interlocks:
             if not turning:
                 self._motion.clear()
             elif (found := self._motion.tick(now_ns, self.measured_rpm(now_ns))) is not None:
-                out.append(Stop("device", found.text, found.interlock))
+                out.append(found)
             if not self._driving:
                 return [item for item in out if isinstance(item, DeviceEvent)]
             out += self._silent(now_ns, turning)
@@ -351,13 +323,17 @@ class Interlocks:
         """Evaluate a displacement: amplitude, out of sight, blind sensor; keep it for the watch of its motion."""
         share, displacement = self._sight[topic], batch.columns["displacement_m"]
         invalid, beyond_m = np.isnan(displacement), self._exceedances[topic].feed(displacement)
-        share.add(batch.time_ns, invalid)
+        has_changed = share.add(batch.time_ns, invalid)
         if share.in_a_row:
             self._code[topic] = int(batch.columns["code"][-1])
         if share.in_a_row < len(invalid):
             self._seen_m[topic] = abs(float(displacement[-1 - share.in_a_row]))
         blind, limit = share.mostly_bad, self._limits.amplitude_m
-        out: list[DeviceEvent | Stop] = [*self._blindness(topic, blind)]
+        out: list[DeviceEvent | Stop] = []
+        if has_changed:
+            facts = {"of": self._device_of[topic], "channel": topic, "code": self._code[topic]}
+            words = f"no valid sample, code {self._code[topic]}" if blind else "valid samples again"
+            out.append(DeviceEvent("blind", HOST, f"{topic}: {words}", facts))
         gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
         self._motion.feed(topic, host_ns, displacement)
         if not (blind or gone or beyond_m is not None) or not self._driving or not self.turning(host_ns):
@@ -369,14 +345,6 @@ class Interlocks:
             name, seen = "amplitude", f"{beyond_m * 1e3:.1f} mm"
         return [*out, Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm", name)]
 
-    def _blindness(self, topic: str, blind: bool) -> list[DeviceEvent]:
-        if blind == self._blind[topic]:
-            return []
-        self._blind[topic] = blind
-        facts = {"of": self._device_of[topic], "channel": topic, "code": self._code[topic]}
-        words = f"no valid sample, code {self._code[topic]}" if blind else "valid samples again"
-        return [DeviceEvent("blind", HOST, f"{topic}: {words}", facts)]
-
     def _pendulums(self, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
         """Evaluate pendulum angles: encoder faults, and where the pendulums stand for the least motion."""
         self.rotor.node_heard(host_ns)
@@ -385,9 +353,7 @@ class Interlocks:
         out: list[DeviceEvent | Stop] = [*self._slips(batch)]
         self._faulty_samples += int(np.count_nonzero(flags & sum(_FAULTS)))
         for bit, share in self._sound.items():
-            share.add(batch.time_ns, (flags & bit) != 0)
-            if share.mostly_bad != self._faulty[bit]:
-                self._faulty[bit] = share.mostly_bad
+            if share.add(batch.time_ns, (flags & bit) != 0):
                 words = "reports a fault" if share.mostly_bad else "is sound again"
                 facts = {"of": self._device_of[batch.channel.topic], "channel": batch.channel.topic, "flag": bit}
                 out.append(DeviceEvent("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
@@ -403,5 +369,5 @@ class Interlocks:
             if self._driving:
                 yield Stop("device", f"{device}: {text}", "loose lock")
 
-    def _wrong(self, why: Finding | None) -> list[Stop]:
-        return [Stop("procedure", why.text, why.interlock)] if why is not None and self._driving else []
+    def _wrong(self, why: Stop | None) -> list[Stop]:
+        return [why] if why is not None and self._driving else []

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.least_motion import LeastMotion
-from daq.acquisition.rotor_watch import Finding
+from daq.acquisition.rotor_watch import Stop
 from rig_basics.units import RPM
 from rig_configs.roles import DisplacementSensor
 
@@ -71,7 +71,7 @@ class MotionWatch:
         """Register the newest pendulum angles."""
         self._theta_rad = (theta3_rad, theta4_rad)
 
-    def tick(self, now_ns: int, rpm: float) -> Finding | None:
+    def tick(self, now_ns: int, rpm: float) -> Stop | None:
         """Evaluate the newest stretch of a turning rotor. Return a fault, or None.
 
         Args:
@@ -107,21 +107,23 @@ class MotionWatch:
     def _values(self, topic: str, since_ns: int = 0) -> NDArray[np.float64]:
         return np.concatenate([np.empty(0), *(values for at_ns, values in self._reads[topic] if at_ns >= since_ns)])
 
-    def _stuck(self, now_ns: int) -> Finding | None:
+    def _stuck(self, now_ns: int) -> Stop | None:
         """Return the fault of a reading that is constant while another sensor moves."""
-        newest = {topic: self._values(topic, now_ns - round(WINDOW_S * 1e9)) for topic in self._axis_of}
+        since_ns = now_ns - round(WINDOW_S * 1e9)
+        newest = {topic: self._values(topic, since_ns) for topic in self._axis_of}
         swings_m = {topic: float(np.ptp(values)) for topic, values in newest.items() if len(values) > 2}
         swing_m = max(swings_m.values(), default=0.0)
         for topic in (topic for topic, own_m in swings_m.items() if own_m == 0.0 and swing_m >= SWING_M):
-            if (now_ns - self._reads[topic][0][0]) * 1e-9 >= (1 - _MAX_GAP) * WINDOW_S:
-                return Finding(
-                    "stuck sensor",
+            if _fill([at_ns for at_ns, _ in self._reads[topic] if at_ns >= since_ns], since_ns):
+                return Stop(
+                    "device",
                     f"{topic}: reads {newest[topic][0] * 1e3:.4f} mm without any change for {WINDOW_S:.1f} s, while "
                     f"the column moves by {swing_m * 1e3:.2f} mm across it: the sensor hangs. Switch it off and on",
+                    "stuck sensor",
                 )
         return None
 
-    def _missing(self, topic: str, slowest: float, fastest: float) -> Finding | None:
+    def _missing(self, topic: str, slowest: float, fastest: float) -> Stop | None:
         values = self._values(topic)
         if len(values) < _MIN_SAMPLES:
             return None
@@ -135,10 +137,19 @@ class MotionWatch:
         seen_m = 0.5 * (high - low) / _OF_SINE
         if seen_m >= least_m:
             return None
-        return Finding(
-            "no motion",
+        return Stop(
+            "device",
             f"{topic}: moves by ± {seen_m * 1e6:.1f} µm at {fastest / RPM:.0f} rpm; the rig file's unbalance implies "
             f"± {least_m * 1e6:.0f} µm or more. The sensor hangs, or it does not look at the disk, or the rotor is "
             "balanced better than the file states. Switch the sensor off and on, and compare [imbalance] and "
             "[suspension] with the rig",
+            "no motion",
         )
+
+
+def _fill(times_ns: list[int], since_ns: int) -> bool:
+    """Return whether reads fill a stretch of `WINDOW_S`: its begin may lack their distance, or `_MAX_GAP` of it."""
+    if len(times_ns) < 3:
+        return False
+    distance_ns = (times_ns[-1] - times_ns[0]) / (len(times_ns) - 1)
+    return times_ns[0] - since_ns <= max(_MAX_GAP * WINDOW_S * 1e9, distance_ns)

@@ -92,11 +92,18 @@ class RateWatch:
 
     Args:
         clock: the driver's description of the sample times.
-        min_error_s: least uncertainty of the bound of the delay, s.
+
+    Attributes:
+        wrong: the present rate if it is wrong; None otherwise.
+        worst: the rate with the largest deviation while it was wrong; None if it never was.
+        wrong_s: time for which it was wrong, s.
     """
 
-    def __init__(self, clock: SampleClock, min_error_s: float = _MIN_DELAY_ERROR_S) -> None:
-        self._min_error_s = min_error_s
+    def __init__(self, clock: SampleClock) -> None:
+        self.wrong: Rate | None = None
+        self.worst: Rate | None = None
+        self.wrong_s: float = 0.0
+        self._topic, self._look_ns, self._is_suspect = clock.topic, 0, False
         self._nominal, self._tolerance = clock.rate_Hz, _STDS * clock.tolerance_ppm
         self._field, self._tick_ns, self._wrap = clock.field, clock.tick_ns, clock.count_wrap
         self._bins: deque[tuple[int, int, int, int]] = deque(maxlen=_BINS)  # number, device ns, lag ns, count
@@ -146,10 +153,33 @@ class RateWatch:
             rate_Hz=count / span,
             nominal_Hz=self._nominal,
             clock_ppm=(1.0 / (1.0 + slope) - 1.0) * 1e6,
-            bound_ppm=max(self._min_error_s, _JITTERS * jitter) / span * 1e6,
+            bound_ppm=max(_MIN_DELAY_ERROR_S, _JITTERS * jitter) / span * 1e6,
             tolerance_ppm=self._tolerance,
             span_s=span,
         )
+
+    def look(self, host_ns: int) -> list[DeviceEvent]:
+        """Return an event when the rate has become wrong or is correct again; it is checked once a second.
+
+        It is wrong in two consecutive checks: a single one may be caused by a suspended host.
+        """
+        self._look_ns = self._look_ns or host_ns + _FIRST_LOOK_NS
+        if host_ns < self._look_ns:
+            return []
+        self._look_ns = host_ns + _LOOK_NS
+        rate = self.rate()
+        if rate is None or rate.span_s < _MIN_SPAN_S:
+            return []
+        before, was_suspect = self.wrong, self._is_suspect
+        self._is_suspect = not rate.ok
+        if rate.ok:
+            self.wrong = None
+            return [] if before is None else [_event(self._topic, rate, f"back at {rate.rate_Hz:.1f} Hz")]
+        if not was_suspect:
+            return []
+        self.wrong, self.wrong_s = rate, self.wrong_s + _LOOK_NS * 1e-9
+        self.worst = max(self.worst or rate, rate, key=lambda each: abs(each.off_ppm))
+        return [_event(self._topic, rate, rate.words())] if before is None else []
 
 
 class RateWatches:
@@ -162,20 +192,12 @@ class RateWatches:
     """
 
     def __init__(self, devices: Mapping[str, DeviceSettings]) -> None:
-        known = devices_of(devices)
-        self._clocks = [clock for device in known.values() for clock in device.clocks]
-        self._min_span_s = min(_MIN_SPAN_S, 0.9e-9 * _BINS * _BIN_NS)
-        self._topics_of = {name: [clock.topic for clock in device.clocks] for name, device in known.items()}
+        self._clocks_of = {name: device.clocks for name, device in devices_of(devices).items()}
         self.begin()
 
     def begin(self) -> None:
         """Begin a log: discard all samples and counts."""
-        self._watches = {clock.topic: RateWatch(clock, _MIN_DELAY_ERROR_S) for clock in self._clocks}
-        self._due: dict[str, int] = {}
-        self._suspect: set[str] = set()
-        self._wrong: dict[str, Rate] = {}
-        self._worst: dict[str, Rate] = {}
-        self._seconds = dict.fromkeys(self._watches, 0.0)
+        self._watches = {clock.topic: RateWatch(clock) for clocks in self._clocks_of.values() for clock in clocks}
 
     def feed(self, found: Iterable[Batch | DeviceEvent], host_ns: int) -> list[DeviceEvent]:
         """Add the items of one read. Return an event when a rate becomes wrong and when it is correct again."""
@@ -184,37 +206,15 @@ class RateWatches:
             if isinstance(item, DeviceEvent):
                 if item.kind == "restart":
                     self.restart(item.device)
-                continue
-            if (watch := self._watches.get(item.channel.topic)) is not None:
+            elif (watch := self._watches.get(item.channel.topic)) is not None:
                 watch.feed(item, host_ns)
-                topic = item.channel.topic
-                if host_ns >= self._due.setdefault(topic, host_ns + _FIRST_LOOK_NS):
-                    self._due[topic] = host_ns + _LOOK_NS
-                    out += self._look(topic, watch.rate())
+                out += watch.look(host_ns)
         return out
 
     def restart(self, device: str) -> None:
         """Discard earlier samples of a device that restarted or was reopened."""
-        for topic in self._topics_of.get(device, ()):
-            self._watches[topic].restart()
-
-    def _look(self, topic: str, rate: Rate | None) -> list[DeviceEvent]:
-        """Report a rate that is wrong in two consecutive checks. A single one may be caused by a suspended host."""
-        if rate is None or rate.span_s < self._min_span_s:
-            return []
-        if rate.ok:
-            self._suspect.discard(topic)
-            if self._wrong.pop(topic, None) is None:
-                return []
-            return [_event(topic, rate, f"{topic}: back at {rate.rate_Hz:.1f} Hz")]
-        if topic not in self._suspect:
-            self._suspect.add(topic)
-            return []
-        is_new = topic not in self._wrong
-        self._wrong[topic] = rate
-        self._worst[topic] = max(self._worst.get(topic, rate), rate, key=lambda r: abs(r.off_ppm))
-        self._seconds[topic] += _LOOK_NS * 1e-9
-        return [_event(topic, rate, f"{topic}: {rate.words()}")] if is_new else []
+        for clock in self._clocks_of.get(device, ()):
+            self._watches[clock.topic].restart()
 
     def rates(self) -> Mapping[str, Rate | None]:
         """Return the newest rate of each channel."""
@@ -222,13 +222,13 @@ class RateWatches:
 
     def now(self) -> str:
         """Return the channels with a wrong rate at present, in one line; empty if there are none."""
-        return "; ".join(f"{topic}: {rate.words()}" for topic, rate in self._wrong.copy().items())
+        wrong = ((topic, watch.wrong) for topic, watch in self._watches.items())
+        return "; ".join(f"{topic}: {rate.words()}" for topic, rate in wrong if rate is not None)
 
     def summary(self) -> str:
         """Return the channels that had a wrong rate, with the duration, in one line; empty if there were none."""
-        return "; ".join(
-            f"{topic}: {rate.words()}, for {self._seconds[topic]:.0f} s" for topic, rate in self._worst.copy().items()
-        )
+        had = ((topic, watch.worst, watch.wrong_s) for topic, watch in self._watches.items())
+        return "; ".join(f"{topic}: {rate.words()}, for {s:.0f} s" for topic, rate, s in had if rate is not None)
 
 
 def _event(topic: str, rate: Rate, text: str) -> DeviceEvent:
@@ -239,4 +239,4 @@ def _event(topic: str, rate: Rate, text: str) -> DeviceEvent:
         "clock_ppm": rate.clock_ppm,
         "bound_ppm": rate.bound_ppm,
     }
-    return DeviceEvent("rate", HOST, text, facts)
+    return DeviceEvent("rate", HOST, f"{topic}: {text}", facts)

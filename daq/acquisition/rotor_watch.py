@@ -10,10 +10,12 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from itertools import takewhile
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.acquisition.channel_watch import HOST_S
 from daq.signals.speed_agreement import SpeedAgreement, speed_agreement
 from rig_configs.roles import AT_REST_RPM
 
@@ -46,16 +48,18 @@ _MIN_MARKS = 5  # … least number of index marks for the comparison of their ra
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A fault of the rotor's speed.
+class Stop:
+    """Finding of an interlock that ends the run and stops the rotor.
 
     Attributes:
+        cause: "device" if a device failed, "procedure" if the motion exceeded a limit.
+        text: the finding with its values, for the operator.
         interlock: name of its row in `daq.acquisition.interlock_table`.
-        text: the fault with the speeds, for the operator.
     """
 
-    interlock: str
+    cause: Literal["device", "procedure"]
     text: str
+    interlock: str = ""
 
 
 class RotorWatch:
@@ -79,9 +83,8 @@ class RotorWatch:
     ) -> None:
         self._limit_rpm, self._driven, self._rest_rpm = limit_rpm, driven, rest_rpm
         self._max_report_age_ns = _ns(0.5)
-        self._late_ns = _ns(0.3)  # largest delay of the host
+        self._late_ns = _ns(HOST_S)
         self._settled_ns = _ns(0.1)
-        self._radio_s = RADIO_S
         self._drive_rpm: float | None = None
         self._drive_ns = 0
         self._unmeasured_ns: int | None = None  # of the drive's newest report without a speed
@@ -108,7 +111,7 @@ class RotorWatch:
         self.target_rpm = rpm
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
-    def drive_reported(self, host_ns: int, rpm: NDArray[np.float64]) -> Finding | None:
+    def drive_reported(self, host_ns: int, rpm: NDArray[np.float64]) -> Stop | None:
         """Evaluate the drive's reports of one read, actual speeds, shape (n,), n ≥ 1. Return a fault, or None.
 
         A report without a speed (NaN) is no evidence of rest, and the index marks decide meanwhile.
@@ -124,7 +127,7 @@ class RotorWatch:
             return finding
         return self._drive_measured(host_ns, reported)
 
-    def _drive_measured(self, host_ns: int, reported: list[float]) -> Finding | None:
+    def _drive_measured(self, host_ns: int, reported: list[float]) -> Stop | None:
         least, greatest, last = min(reported), max(reported), reported[-1]
         if self._drive_rpm is None:
             self._highest, self._lowest = max(self.target_rpm, greatest), min(self.target_rpm, least)
@@ -159,7 +162,7 @@ class RotorWatch:
 
     def marks_received(
         self, host_ns: int, time_ns: NDArray[np.int64], node_ns: NDArray[np.int64], revolutions: NDArray[np.integer]
-    ) -> Finding | None:
+    ) -> Stop | None:
         """Evaluate the index marks of one read. Return a fault, or None.
 
         Args:
@@ -227,7 +230,7 @@ class RotorWatch:
             if self._zero_since_ns is None or now_ns - self._zero_since_ns < self._settled_ns:
                 return False
             return not self.coasts(now_ns)
-        if self._node_ns is None or now_ns - self._node_ns > _ns(self._radio_s):
+        if self._node_ns is None or now_ns - self._node_ns > _ns(RADIO_S):
             return None
         if self._stood and self.target_rpm == 0:
             return True
@@ -252,7 +255,7 @@ class RotorWatch:
         if self._zero_since_ns is None or turn_ns is None or self._mark_host_ns is None:
             return False
         if self._fell and self._marks_after_zero < 2:  # further marks may still be delayed by the radio
-            return now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns + _ns(self._radio_s)
+            return now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns + _ns(RADIO_S)
         return self._marks_after_zero >= 2 and now_ns - self._mark_host_ns < 2.5 * turn_ns + self._late_ns
 
     def unseen(self, now_ns: int) -> str | None:
@@ -265,9 +268,9 @@ class RotorWatch:
         rpm = self.drive_rpm(now_ns)
         if math.isnan(rpm):
             return None
-        on_air = takewhile(lambda report: now_ns - report[0] <= _ns(self._radio_s), reversed(self._reports))
+        on_air = takewhile(lambda report: now_ns - report[0] <= _ns(RADIO_S), reversed(self._reports))
         fastest = max((max(-least, greatest) for _, least, greatest in on_air), default=abs(rpm))  # before braking
-        if self._turns_unseen <= TURNS_UNSEEN + fastest / 60.0 * self._radio_s:
+        if self._turns_unseen <= TURNS_UNSEEN + fastest / 60.0 * RADIO_S:
             return None
         return (
             f"tacho: no index mark for {self._turns_unseen:.0f} turns of the drive ({rpm:.0f} rpm). Look at the index "
@@ -280,7 +283,7 @@ class RotorWatch:
         if not self._alone or turn_ns is None or self._mark_host_ns is None:
             return None
         silent_ns = now_ns - self._mark_host_ns
-        if silent_ns <= TURNS_UNSEEN * turn_ns + _ns(self._radio_s):
+        if silent_ns <= TURNS_UNSEEN * turn_ns + _ns(RADIO_S):
             return None
         return (
             f"tacho: no index mark for {silent_ns * 1e-9:.1f} s, the last one at {_RPM_PER_TURN_NS / turn_ns:.0f} "
@@ -297,7 +300,7 @@ class RotorWatch:
         drive = drive if self._driven else "the rotor is turned by hand"
         if self._node_ns is None:
             return f"{drive}, no other device measures the rotor"
-        if now_ns - self._node_ns > _ns(self._radio_s):
+        if now_ns - self._node_ns > _ns(RADIO_S):
             return f"{drive}, the node that sends the index marks is silent"
         if math.isnan(marks) or self._mark_host_ns is None:
             return f"{drive}, no index marks"
@@ -313,14 +316,16 @@ class RotorWatch:
         (_, before, first), (_, after, last) = self._marks[-2], self._marks[-1]
         return (after - before) / (last - first)
 
-    def _too_fast(self, rpm: float, rows: int) -> Finding | None:
+    def _too_fast(self, rpm: float, rows: int) -> Stop | None:
         share, more = OVERSPEED
         self._beyond = self._beyond + rows if rpm > (1 + share) * self._limit_rpm + more else 0
         if self._beyond < ROWS_BEYOND:
             return None
-        return Finding("overspeed", f"the drive reports {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}")
+        return Stop(
+            "procedure", f"the drive reports {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}", "overspeed"
+        )
 
-    def _marks_too_fast(self) -> Finding | None:
+    def _marks_too_fast(self) -> Stop | None:
         if len(self._marks) < 4:
             return None
         (_, before, first), (_, after, last) = self._marks[-4], self._marks[-1]
@@ -328,20 +333,26 @@ class RotorWatch:
         share, more = OVERSPEED
         if rpm <= (1 + share) * self._limit_rpm + more:
             return None
-        return Finding("overspeed", f"the index marks come at {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}")
+        return Stop(
+            "procedure",
+            f"the index marks come at {rpm:.0f} rpm, limits.speed_rpm is {self._limit_rpm:.0f}",
+            "overspeed",
+        )
 
-    def _ran_away(self, least: float, greatest: float, last: float) -> Finding | None:
+    def _ran_away(self, least: float, greatest: float, last: float) -> Stop | None:
         """Return a fault if the speed is outside the range between rest, the last speeds and the commanded speed."""
         highest, lowest, target = self._highest, self._lowest, self.target_rpm
         self._highest, self._lowest = max(0.0, target, min(highest, last)), min(0.0, target, max(lowest, last))
         share, more = RUNAWAY
         if greatest > highest + share * abs(highest) + more:
-            return Finding("runaway", f"the drive reports {greatest:.0f} rpm, {target:.0f} rpm were commanded")
+            return Stop(
+                "procedure", f"the drive reports {greatest:.0f} rpm, {target:.0f} rpm were commanded", "runaway"
+            )
         if least < lowest - share * abs(lowest) - more:
-            return Finding("runaway", f"the drive reports {least:.0f} rpm, {target:.0f} rpm were commanded")
+            return Stop("procedure", f"the drive reports {least:.0f} rpm, {target:.0f} rpm were commanded", "runaway")
         return None
 
-    def _disagree(self, host_ns: int) -> Finding | None:
+    def _disagree(self, host_ns: int) -> Stop | None:
         """Return a fault if the rate of the index marks differs from all reports of the drive around that time.
 
         The difference must last for 0.5 s and the delay of the host.
@@ -375,8 +386,9 @@ class RotorWatch:
         if host_ns - self._off_since_ns < self._late_ns + _ns(0.5):
             return None
         text = f"the index marks come at {rpm:.0f} rpm, the drive reports {min(speeds):.0f} to {max(speeds):.0f} rpm"
-        compared = self._compared(first[0], last[0])
-        return Finding("speed disagreement", text if compared is None else f"{text}: {compared.ratio_words}")
+        if (compared := self._compared(first[0], last[0])) is not None:
+            text = f"{text}: {compared.ratio_words}"
+        return Stop("procedure", text, "speed disagreement")
 
     def _compared(self, start_ns: int, end_ns: int) -> SpeedAgreement | None:
         """Compare the marks with the drive's reports in an interval; None if they cannot be compared."""

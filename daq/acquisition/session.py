@@ -34,7 +34,6 @@ from rig_configs.schema import Rig
 
 _MAX_START_S = 3.0  # from the start of the streams to samples of every device, s
 _MAX_BUSY_S = 0.25  # longest wait of 3 ms on a busy host; a longer one is a stall (suspended, stopped), s
-_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, s
 
 
 class Session:

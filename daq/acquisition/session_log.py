@@ -67,7 +67,7 @@ class SessionLog:
 
     def begin(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float) -> None:
         """Begin a log; see `daq.acquisition.session.Session.start_recording`. No other log may be open."""
-        self._store_identities()
+        seeds = self._learned()
         facts = {
             "rig": self._rig.name,
             "software": software_version(),
@@ -81,7 +81,6 @@ class SessionLog:
             "identities.json": json.dumps(self._identities).encode(),
             "roles.json": self._rig.roles_json(),
         }
-        seeds = self._seeds()
         if seeds:
             attachments["clocks.json"] = json.dumps(seeds).encode()
         devices = tuple(self._rig.devices)
@@ -89,21 +88,20 @@ class SessionLog:
         recorder = Recorder(path, self._clock, facts, attachments, devices, self._channels, self._disk)
         self.renew_pipelines(recorder, before_s, seeds)
 
-    def _store_identities(self) -> None:
-        """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
-        for name, pipeline in self._core.pipelines.items():
-            with self._links.unread(name):
-                if learned := pipeline.status.learned:
-                    self._identities.setdefault(name, {}).update(learned)
+    def _learned(self) -> dict[str, dict[str, Any]]:
+        """Add to the identities what the pipelines have learnt from the bytes, for the next log.
 
-    def _seeds(self) -> dict[str, dict[str, Any]]:
-        """Return the states of the device clocks, so that the clock maps of the next log start with them."""
+        Returns:
+            States of the device clocks, so that the clock maps of the next log start with them.
+        """
         seeds: dict[str, dict[str, Any]] = {}
         for name, pipeline in self._core.pipelines.items():
             with self._links.unread(name):
-                seed = pipeline.status.clock_seed
-            if seed is not None:
-                seeds[name] = asdict(seed)
+                status = pipeline.status
+            if status.learned:
+                self._identities.setdefault(name, {}).update(status.learned)
+            if status.clock_seed is not None:
+                seeds[name] = asdict(status.clock_seed)
         return seeds
 
     def renew_pipelines(

@@ -137,14 +137,15 @@ class LockstepLink:
         """Add received bytes to the queue and return the number of bytes for which it had no space."""
         room = max(0, _QUEUE_BYTES - len(self._buffer))
         self._buffer += data[:room]
-        if self._reading:
-            number, self._reading = self._reading, 0
-            self._cable.after(self._cable.wake_s(), lambda: self._woken(number))
+        self._wake()
         return max(0, len(data) - room)
 
     def lose(self) -> None:
         """Mark the link as lost."""
         self._lost = True
+        self._wake()
+
+    def _wake(self) -> None:
         if self._reading:
             number, self._reading = self._reading, 0
             self._cable.after(self._cable.wake_s(), lambda: self._woken(number))

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from daq.acquisition.interlock_table import CHANNELS, INTERLOCKS, SESSION, interlock
-from daq.acquisition.recorder import BACKLOG_BYTES
 from daq.drivers.optoncdt import distance_words
 from daq.items import DeviceEvent
 from rig_configs import load_rig
@@ -115,10 +114,6 @@ def test_a_row_requires_its_role() -> None:
     assert interlock("no index mark").has_role(hand)
     assert {row.name for row in CHANNELS if row.has_role(none)} == {"restart", "fault"}
     assert not interlock("stuck sensor").has_role(load_rig("one_laser").roles)
-
-
-def test_the_backlog_limit_agrees_with_the_table() -> None:
-    assert f"{BACKLOG_BYTES / 2**20:g} MB" in interlock("disk").threshold
 
 
 def test_the_documents_show_the_table() -> None:

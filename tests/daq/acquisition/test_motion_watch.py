@@ -148,6 +148,23 @@ def test_free_pendulums_may_balance_the_rotor(run_up: Column) -> None:
         assert watch.tick(tick * NS // 10, 600.0) is None
 
 
+@pytest.mark.parametrize(
+    ("period_s", "from_s", "found"),
+    [(0.02, 0.0, True), (0.1, 0.0, True), (0.02, 1.96, False)],  # the last one: it sends again after a gap
+)
+def test_a_constant_reading_beside_a_motion_is_a_fault_once_it_lasts(
+    period_s: float, from_s: float, found: bool
+) -> None:
+    watch = MotionWatch(SENSORS, RIG)
+    for number in range(round(2.0 / period_s)):
+        at_s = number * period_s
+        watch.feed("laser/y", round(at_s * NS), np.array([1e-4 * math.sin(2 * math.pi * at_s)]))
+        if at_s >= from_s:
+            watch.feed("laser/x", round(at_s * NS), np.full(2, 1e-3))
+    stop = watch.tick(2 * NS, math.nan)
+    assert (stop is not None and stop.interlock == "stuck sensor") is found
+
+
 def test_pendulums_without_encoders_imply_only_what_they_cannot_balance() -> None:
     by_hand = load_rig("virtual", settings=["imbalance.mass_kg=1.0"])
     unseen = SimpleNamespace(physics=by_hand.physics, roles=replace(by_hand.roles, angles=None))
