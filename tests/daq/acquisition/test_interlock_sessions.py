@@ -54,7 +54,7 @@ def is_stopped(_: Session, __: LockstepRig) -> None:
 
 
 SCENARIOS: dict[str, tuple[Trip, str]] = {
-    "drop-out": (drops_out, "the drive entered FAULT without a command"),
+    "drop-out": (drops_out, "the drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"),
     "emergency": (has_an_emergency, "emergency 0x3220"),
     "silent line": (falls_silent, "laser_x: silent for 2 s"),
     "lost device": (is_lost, "laser_y|closed|descriptor|gone"),

@@ -16,12 +16,11 @@ from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
-from daq.log.losses import losses_of
 from daq.replay import check
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs.schema import Rig
-from tests.daq.simulated_sessions import guided, quiet, turn
+from tests.daq.simulated_sessions import quiet, turn
 
 
 def only_log(folder: Path) -> Path:
@@ -45,34 +44,6 @@ def test_a_clean_end_leaves_the_drive_unwatched_and_no_emergency(simulated: Lock
     simulated.clock.wait(5.0)
     assert simulated.ask("state")["emergencies"] == before
     assert session.notices == []
-
-
-def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
-    def dies(text: str, share: float | None) -> None:
-        if share is not None and share > 0.4:
-            simulated.ask("fail", device="encoder", what="dead", value=1)
-
-    try:
-        with (
-            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"),
-            Session(cabled, simulated.clock, edge=simulated.edge) as session,
-        ):
-            guided(session, simulated, tmp_path, dies).run_up(600.0, 25.0)
-    finally:
-        simulated.ask("fail", device="encoder", what="dead", value=0)
-    assert simulated.ask("state")["speed_rpm"] < 0.5
-    path = only_log(tmp_path)
-    assert "pendulums: silent" in str(summary_of(path)["ended"])
-    assert not check(path).channels[-1].difference
-    with open_log(path) as log:
-        silences = [e for e in log.events if e["kind"] == "silence" and e["channel"] == "pendulums"]
-        assert ["since_ns" in event for event in silences] == [True, False] * (len(silences) // 2), (
-            "begin and end in turn"
-        )
-        assert "as the log ends" in silences[-1]["text"]
-        counted = losses_of(log).by_device["encoder"]["pendulums_silent_ms"]
-        assert counted >= silences[-1]["pendulums_silent_ms"] > 100
-        assert log["motor"]["speed_rpm"].max() < 600
 
 
 def test_a_drive_that_restarts_is_named_at_once(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
@@ -107,17 +78,6 @@ def test_a_lone_emergency_is_reported_and_kept(simulated: LockstepRig, cabled: R
     assert ours == ["warning: drive: emergency 0x3220, DC link under-voltage. The run is not clean"]
     assert summary_of(path)["warnings"] == session.notices
     assert summary_of(path)["ended"] == "the test's end"
-
-
-def test_a_fault_is_reported_with_its_emergency(simulated: LockstepRig, cabled: Rig, tmp_path: Path) -> None:
-    fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
-    with pytest.raises(ProcedureError, match=fault), Session(cabled, simulated.clock, edge=simulated.edge) as session:  # noqa: PT012
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        turn(session, 200)
-        simulated.ask("fail", device="drive", what="fault", value=0x3220)
-        session.wait_for(lambda: False, 5.0, "nothing")
-    assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
-    assert simulated.ask("state")["speed_rpm"] < 0.5
 
 
 def test_a_rotor_that_still_turns_at_the_end_is_reported(

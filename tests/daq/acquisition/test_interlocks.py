@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -266,6 +266,28 @@ def test_a_drive_that_restarts_at_rest_is_at_rest() -> None:
         assert bench.interlocks.at_rest(bench.now_ns) is True
 
 
+def watched(
+    watch: RotorWatch, seconds: float, rpm: Callable[[float], float], marks_s: list[float], delay_s: float = 0.0
+) -> Iterator[tuple[float, int]]:
+    """Feed a watch every 10 ms with the drive's report and with index marks; yield time, s, and host time, ns.
+
+    Args:
+        rpm: speed that the drive reports at a time, NaN for a report without one.
+        marks_s: times of the index marks, ascending.
+        delay_s: time after which each arrives.
+    """
+    turns = 0
+    for k in range(round(100 * seconds)):
+        time_s, now = 0.01 * k, START_NS + k * 10_000_000
+        watch.node_heard(now)
+        while turns < len(marks_s) and marks_s[turns] + delay_s <= time_s:
+            at = np.array([START_NS + round(marks_s[turns] * 1e9)])
+            watch.marks_received(now, at, at, np.array([turns]))
+            turns += 1
+        watch.drive_reported(now, np.array([rpm(time_s)]))
+        yield time_s, now
+
+
 MOTIONS = st.lists(st.tuples(st.integers(-1100, 1100), st.integers(1, 80)), min_size=1, max_size=8)
 
 
@@ -304,34 +326,19 @@ def test_a_report_that_jumps_to_rest_does_not_override_index_marks(delay_s: floa
     """A drive without an encoder reports 0 rpm as soon as it is off, while the rotor coasts at 1000 rpm."""
     watch = RotorWatch(1300.0)
     watch.commanded(1000.0)
-    turns, at_rest, ends_s = 0, [], 5.0
-    for k in range(800):
-        now_s, now = 0.01 * k, START_NS + k * 10_000_000
-        watch.node_heard(now)
-        while (mark_s := 0.06 * turns) + delay_s <= now_s and mark_s < ends_s:
-            at = START_NS + round(mark_s * 1e9)
-            watch.marks_received(now, np.array([at]), np.array([at]), np.array([turns]))
-            turns += 1
-        watch.drive_reported(now, np.array([1000.0 if now_s < 3 else 0.0]))
-        if watch.at_rest(now):
-            at_rest.append(now_s)
-    assert at_rest[0] == pytest.approx(ends_s, abs=2.0)
-    assert at_rest[0] > ends_s
+    marks_s = np.arange(0.0, 5.0, 0.06).tolist()
+    steps = watched(watch, 8.0, lambda time_s: 1000.0 if time_s < 3 else 0.0, marks_s, delay_s)
+    at_rest = [time_s for time_s, now in steps if watch.at_rest(now)]
+    assert 5.0 < at_rest[0] < 7.0
 
 
 def test_a_braked_rotor_is_at_rest_as_soon_as_the_drive_reports_it() -> None:
     watch = RotorWatch(1300.0)
     watch.commanded(0.0)
-    turns, angle = 0, 0.0
-    for k in range(300):
-        now, rpm = START_NS + k * 10_000_000, max(0.0, 1000.0 - 10.0 * k)
-        angle += rpm / 60 * 0.01
-        watch.node_heard(now)
-        if angle > turns:
-            watch.marks_received(now, np.array([now]), np.array([now]), np.array([turns]))
-            turns += 1
-        watch.drive_reported(now, np.array([rpm]))
-        assert watch.at_rest(now) is (k >= 110)
+    angle = [1000.0 / 60 * (t - 0.5 * t * t) for t in np.arange(0.0, 1.0, 0.001)]
+    marks_s = [0.001 * int(np.searchsorted(angle, turn)) for turn in range(int(angle[-1]))]
+    for time_s, now in watched(watch, 3.0, lambda time_s: max(0.0, 1000.0 - 1000.0 * time_s), marks_s):
+        assert watch.at_rest(now) is (time_s > 1.095)
 
 
 @given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
@@ -412,41 +419,29 @@ def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
 
 
 def test_delayed_index_marks_of_a_braked_rotor_are_not_a_fault() -> None:
+    """6 turns at 600 rpm in 0.6 s; when their marks have not come a second later, they never will."""
     watch = RotorWatch(1200.0)
-    now = START_NS
-    for _ in range(60):  # 6 turns at 600 rpm in 0.6 s, whose marks the radio still holds
-        now += 10_000_000
-        assert watch.drive_reported(now, np.array([600.0])) is None
-    now += 10_000_000
-    watch.drive_reported(now, np.array([0.0]))
-    assert watch.unseen(now) is None
-    for _ in range(110):  # when they have not come after a second, they never will
-        now += 10_000_000
-        watch.drive_reported(now, np.array([0.0]))
-    assert "no index mark for 6 turns" in (watch.unseen(now) or "")
+    missing = {
+        round(time_s, 2): watch.unseen(now)
+        for time_s, now in watched(watch, 1.8, lambda time_s: 600.0 if time_s < 0.6 else 0.0, [])
+    }
+    assert missing[0.6] is None
+    assert "no index mark for 6 turns" in str(missing[1.79])
 
 
 def test_a_report_without_a_speed_is_no_evidence_of_rest() -> None:
     """Its output was switched off at 600 rpm: the index marks decide until they cease."""
-    watch, now = RotorWatch(1200.0), START_NS
+    watch, at_rest = RotorWatch(1200.0), list[float]()
     watch.commanded(600.0)
-    turns, at_rest = 0, []
-    for k in range(700):  # 7 s: marks to 3 s, speed to 1 s
-        now = START_NS + k * 10_000_000
-        watch.node_heard(now)
-        if k % 10 == 0 and k < 300:
-            watch.marks_received(now, np.array([now]), np.array([now]), np.array([turns]))
-            turns += 1
-        if k % 5 == 0:
-            assert watch.drive_reported(now, np.array([600.0 if k < 100 else np.nan])) is None
-        if k == 120:
+    marks_s = np.arange(0.0, 3.0, 0.1).tolist()
+    for time_s, now in watched(watch, 7.0, lambda time_s: 600.0 if time_s < 1.0 else np.nan, marks_s):
+        if time_s == 1.2:
             watch.commanded(0.0)
             assert "the drive reports no speed" in watch.words(now)
         assert watch.unseen(now) is None
         if watch.at_rest(now):
-            at_rest.append(k)
-    assert at_rest[0] > 300
-    assert at_rest[-1] == 699
+            at_rest.append(time_s)
+    assert (at_rest[0] > 3.0, at_rest[-1]) == (True, pytest.approx(6.99))
     assert "the drive is silent" in watch.words(now + 5_000_000_000)
 
 

@@ -15,15 +15,12 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
-from daq.drivers.cia402 import wire as cia402
-from daq.errors import DeviceError, LinkLost, LogError, ProcedureError
+from daq.errors import DeviceError, LinkLost, ProcedureError
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
-from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_cli.demo import _radio_check
@@ -82,19 +79,6 @@ def test_a_run_down_is_recorded_from_the_top_almost_to_rest(
         assert 0 < speed[-1] < 20
         turns = log["tacho"]["revolutions"]
         assert 80 < int(turns[-1]) - int(turns[0]) < 130  # 10 rev/s for 1 s, then falling over 20 s
-
-
-def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(simulated: LockstepRig, cabled: Rig) -> None:
-    wrong = cabled.model_copy(
-        update={
-            "devices": {**cabled.devices, "laser_x": cabled.devices["laser_x"].model_copy(update={"range_m": 0.05})}
-        }
-    )
-    with (
-        pytest.raises(DeviceError, match=r"50 mm in the rig file and 25 mm in the sensor"),
-        Session(wrong, simulated.clock, edge=simulated.edge),
-    ):
-        pass
 
 
 def test_locking_is_refused_while_the_rotor_turns(simulated: LockstepRig, cabled: Rig) -> None:
@@ -235,13 +219,6 @@ def test_what_happens_to_a_device_stops_a_turning_rotor(
     assert simulated.ask("state")["speed_rpm"] < 0.5
 
 
-def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap.part").write_bytes(b"precious")
-    with pytest.raises(LogError, match="rest of a recording"):
-        Recorder(tmp_path / "a.mcap", HostClock(), {}, {}, ("laser_x",))
-    assert (tmp_path / "a.mcap.part").read_bytes() == b"precious"
-
-
 @needs_posix
 def test_the_virtual_rig_ends_with_its_parent_process() -> None:
     script = (
@@ -315,11 +292,3 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
         assert opened.complete
         assert opened.missing == []
         assert len(opened["laser/x"]) > 1000
-
-
-def test_the_drive_reports_its_states_on_the_way_to_operation(simulated: LockstepRig, cabled: Rig) -> None:
-    with Session(cabled, simulated.clock, edge=simulated.edge) as session:
-        session.drive.enable()
-        assert session.drive.state == cia402.OPERATION_ENABLED
-        session.drive.disable()
-        session.wait_for(lambda: session.drive.state != cia402.OPERATION_ENABLED, 2.0, "the drive to be disabled")

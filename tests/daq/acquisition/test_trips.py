@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +14,6 @@ from daq.acquisition.recent import Recent
 from daq.acquisition.trips import POINTS, Reason, Trips, kept_rows
 from daq.channels import LASER_X
 from daq.items import Batch, DeviceEvent
-from daq.log import open_log
-from daq.log.file import LogFile
-from tests.daq.far_ends import Bench
 
 T0 = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -133,31 +129,3 @@ def test_kept_rows_are_few_and_ascend_and_hold_the_extremes(values: np.ndarray) 
         assert np.nanmax(values[rows]) == np.nanmax(values)
         assert np.nanmin(values[rows]) == np.nanmin(values)
     assert np.isnan(values[rows]).any() == np.isnan(values).any()
-
-
-def test_a_whole_trip_on_the_bench_goes_into_a_log_and_back(tmp_path: Path) -> None:
-    """Every channel of a rig that turns, one laser lost: the reasons are the interlocks' own."""
-    with Bench() as bench:
-        recent = Recent(10.0)
-        hear = bench.interlocks.feed
-        bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]
-        trips = made()
-        bench.turn(600)
-        bench.fails("laser_x", "code", 262076)
-        bench.pass_time(0.5)
-        for at_s, stop in bench.stops:
-            at_ns = bench.now_ns + round((at_s - bench.now_s) * 1e9)
-            trips.tripped(Reason(stop.interlock, stop.text, at_ns, bench.interlocks.speed_rpm(at_ns)))
-        bench.pass_time(1.0)
-        event = only(trips.tick(bench.now_ns, recent))
-    with LogFile(tmp_path / "a.mcap", {"test": "record"}, {}, (), T0) as log:
-        log.event(event, T0)
-        path = log.finish({})
-    with open_log(path) as opened:
-        (stored,) = opened.events
-    assert stored["interlocks"] == ["blind sensor"]
-    assert stored["time_ns"] == event.facts["time_ns"]
-    assert stored["speed_rpm"] == pytest.approx(600, abs=20)
-    assert set(stored["excerpt"]) == {"laser/x", "laser/y", "pendulums", "tacho", "motor"}
-    assert None in stored["excerpt"]["laser/x"]["displacement_m"]["value"]
-    assert len(json.dumps(stored)) < 60_000

@@ -197,18 +197,24 @@ def test_windows_denies_access_to_an_open_port(monkeypatch: pytest.MonkeyPatch) 
     assert refused("/dev/cu.usbserial", "account") == "no permission"
 
 
+def lists_programs(monkeypatch: pytest.MonkeyPatch, folder: Path, files: dict[str, str]) -> None:
+    """Let the system list programs, by number, each with an open file."""
+    for number, target in files.items():
+        (folder / number / "fd").mkdir(parents=True)
+        (folder / number / "fd" / "5").symlink_to(target)
+        (folder / number / "comm").write_text("minicom\n")
+    monkeypatch.setattr(opening, "_PROCESSES", folder)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
 def test_a_program_that_does_not_lock_its_port_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     device = tmp_path / "ttyUSB3"
     device.touch()
     link = tmp_path / "by-id"
     link.symlink_to(device)
-    for number, target in (("812", str(device)), ("813", "/dev/null"), (str(os.getpid()), str(device))):
-        (tmp_path / "proc" / number / "fd").mkdir(parents=True)
-        (tmp_path / "proc" / number / "fd" / "5").symlink_to(target)
-        (tmp_path / "proc" / number / "comm").write_text("minicom\n")
+    files = {"812": str(device), "813": "/dev/null", str(os.getpid()): str(device)}
+    lists_programs(monkeypatch, tmp_path / "proc", files)
     (tmp_path / "proc" / "814").mkdir()
-    monkeypatch.setattr(opening, "_PROCESSES", tmp_path / "proc")
     assert list(programs_with(str(link))) == ["minicom, process 812"]
     assert refused(str(link), "minicom, process 812") == "in use"
     assert list(programs_with("socket://h:1")) == []
@@ -221,10 +227,7 @@ def test_a_simulated_device_that_keeps_both_ends_of_its_pty_open_is_no_other_pro
     """Its link has a stable name; it keeps the end of the host open because the other end fails without one."""
     link = tmp_path / "laser"
     link.symlink_to("/dev/pts/812")
-    (tmp_path / "proc" / "812" / "fd").mkdir(parents=True)
-    (tmp_path / "proc" / "812" / "fd" / "4").symlink_to("/dev/pts/812")
-    (tmp_path / "proc" / "812" / "comm").write_text("python3\n")
-    monkeypatch.setattr(opening, "_PROCESSES", tmp_path / "proc")
+    lists_programs(monkeypatch, tmp_path / "proc", {"812": "/dev/pts/812"})
     assert list(programs_with(str(link))) == []
     assert list(programs_with("/dev/pts/812")) == []
 

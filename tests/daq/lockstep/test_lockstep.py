@@ -21,6 +21,7 @@ from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitNeverEnds
 from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
+from daq.log.losses import losses_of
 from daq.replay import check
 from daq.signals.run import load_run
 from daq.virtual_rig.simulated_operator import SimulatedOperator
@@ -465,7 +466,7 @@ def _dies_in_the_spin_up(sim: LockstepRig, session: Session, folder: Path, messa
         if "spinning up" in text and share is not None and share > 0.5:
             sim.ask("fail", device="encoder", what="dead", value=1.0)
 
-    with pytest.raises(DeviceError, match="pendulums: silent"), session:
+    with pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"), session:
         guided(session, sim, folder, dies).point("B", 500.0 * np.pi / 30)
 
 
@@ -481,6 +482,13 @@ def test_a_trip_during_the_spin_up_is_recorded_although_no_log_had_begun(tmp_pat
         assert "pendulums: silent" in json.loads(log.metadata["summary"]["ended"])
         (trip,) = [event for event in log.events if event["kind"] == "trip"]
         assert trip["interlocks"] == ["silent angles"]
+        assert trip["speed_rpm"] == pytest.approx(log["motor"].speed_rpm.max(), rel=0.2)
+        assert set(trip["excerpt"]) == {"laser/x", "laser/y", "motor"}, "the node was silent for a second"
+        assert len(json.dumps(trip)) < 60_000
+        silences = [event for event in log.events if event["kind"] == "silence" and event["channel"] == "pendulums"]
+        assert ["since_ns" in event for event in silences] == [True, False] * (len(silences) // 2), "begin, then end"
+        counted = losses_of(log).by_device["encoder"]["pendulums_silent_ms"]
+        assert counted >= silences[-1]["pendulums_silent_ms"] > 100
         assert next(event["time_ns"] for event in log.events if event["kind"] == "stop") >= trip["time_ns"]
         speeds = log["motor"]["speed_rpm"]
         assert 0.0 < speeds[0] < speeds.max()
