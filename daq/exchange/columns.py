@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.exchange.errors import ExchangeError
-from daq.exchange.unit_words import name_and_unit
+from daq.exchange.units import name_and_unit
 from rig_basics.texts import did_you_mean
 
 _NAMES_SHOWN = 40
@@ -48,38 +49,31 @@ class Column:
         return Column(self.name, self.values[rows], self.absent[rows], lines[rows], counted)
 
 
-class ColumnFile(Protocol):
-    """An open file of columns."""
+class ColumnFile(ABC):
+    """An open file of columns.
 
-    path: Path
+    Attributes:
+        path: path of the file.
+        names: names of all columns, in the file's order.
+        units: units by name, words of daq.exchange.units, for columns whose unit is in the file.
+        others: contents that are not columns of numbers: description by name.
+        remarks: parts of the file that were left out when columns were read, as sentences.
+    """
 
-    @property
-    def remarks(self) -> Sequence[str]:
-        """Parts of the file that were left out when columns were read, as sentences."""
-        ...
+    def __init__(self, path: Path) -> None:
+        self.path: Path = path
+        self.names: tuple[str, ...] = ()
+        self.units: Mapping[str, str] = {}
+        self.others: dict[str, str] = {}
+        self.remarks: list[str] = []
 
-    @property
-    def others(self) -> Mapping[str, str]:
-        """Contents that are not columns of numbers: description by name."""
-        ...
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names of all columns, in the file's order."""
-        ...
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units by name, words of daq.exchange.units, for columns whose unit is in the file."""
-        ...
-
+    @abstractmethod
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """Read columns by their names in the file.
 
         Raises:
             ExchangeError: a column contains something other than numbers; the message contains the place.
         """
-        ...
 
 
 def pick(recording: ColumnFile, wanted: str, field: str) -> str:
@@ -88,7 +82,7 @@ def pick(recording: ColumnFile, wanted: str, field: str) -> str:
     Raises:
         ExchangeError: the column does not exist; the message lists the existing ones.
     """
-    names = list(recording.names)
+    names = recording.names
     if wanted in names:
         return wanted
     if wanted.isascii() and wanted.isdigit() and 1 <= int(wanted) <= len(names):

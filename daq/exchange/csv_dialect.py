@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from daq.exchange.errors import ExchangeError
-from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
+from daq.exchange.units import is_unit_row, name_and_unit, unit_word
 from rig_basics.texts import number_of
 
 _SAMPLE_LINES = 400

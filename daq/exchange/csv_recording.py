@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from daq.exchange.columns import Column
+from daq.exchange.columns import Column, ColumnFile
 from daq.exchange.csv_dialect import LONGEST_LINE, DecimalEvidence, Dialect, is_comment, need_end, sniff
 from daq.exchange.errors import ExchangeError
 from rig_basics.texts import number_of
@@ -19,37 +19,34 @@ from rig_basics.texts import number_of
 _BLOCK_ROWS = 50_000
 _LONGEST_SHOWN = 40
 
+_Block = tuple[NDArray[Any], NDArray[np.bool_], NDArray[np.int64]]
+"""Values of some rows, which of them are absent, and their lines."""
 
-class CsvRecording:
-    """See daq.exchange.columns.ColumnFile. Reads the file in blocks of rows and keeps only the requested columns.
+
+class CsvRecording(ColumnFile):
+    """Text file, read in blocks of rows of which only the requested columns are kept.
 
     A last line without a line end was cut while it was written, perhaps within a number: it is left out.
     """
 
     def __init__(self, path: Path, decimal: str | None = None) -> None:
-        self.path = path
+        super().__init__(path)
         self._dialect = sniff(path, decimal)
-        self.remarks: list[str] = []
-        self.names: tuple[str, ...] = self._dialect.names
-        self.units: Mapping[str, str] = self._dialect.units
-        self.others: Mapping[str, str] = {}
+        self.names, self.units = self._dialect.names, self._dialect.units
 
+    @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See ColumnFile."""
         wanted = {name: self.names.index(name) for name in names}
-        parts = {name: _Parts() for name in wanted}
-        lines: list[NDArray[np.int64]] = []
+        parts: dict[str, list[_Block]] = {name: [] for name in wanted}
         evidence = DecimalEvidence(self._dialect)
-        for numbers, rows in self._blocks(list(wanted.values())):
-            lines.append(np.array(numbers, np.int64))
+        for lines, rows in self._blocks(list(wanted.values())):
             for position, name in enumerate(wanted):
                 cells = [row[position] for row in rows]
                 if not evidence.is_shown:
-                    evidence.add(name, cells, numbers)
-                self._convert(name, cells, numbers, parts[name])
+                    evidence.add(name, cells, lines)
+                parts[name].append(self._block(name, cells, lines))
         self._refuse_doubt(evidence)
-        where = np.concatenate([np.empty(0, np.int64), *lines])
-        return {name: Column(name, *part.joined(), where) for name, part in parts.items()}
+        return {name: _joined(name, blocks) for name, blocks in parts.items()}
 
     def _refuse_doubt(self, evidence: DecimalEvidence) -> None:
         doubt = evidence.doubt()
@@ -99,10 +96,10 @@ class CsvRecording:
         except csv.Error as fault:
             raise ExchangeError(f"{self.path}: line {number}: expected a row of a csv file ({fault})") from fault
 
-    def _convert(self, name: str, cells: list[str], numbers: list[int], part: _Parts) -> None:
-        part.absent.append(np.array([not cell for cell in cells], bool))
+    def _block(self, name: str, cells: list[str], lines: list[int]) -> _Block:
         values = _plain_numbers(cells) if self._dialect.decimal == "." else None
-        part.values.append(self._any_numbers(name, cells, numbers) if values is None else values)
+        values = self._any_numbers(name, cells, lines) if values is None else values
+        return values, np.array([not cell for cell in cells], bool), np.array(lines, np.int64)
 
     def _any_numbers(self, name: str, cells: list[str], numbers: list[int]) -> NDArray[Any]:
         values: list[float | int] = []
@@ -118,17 +115,11 @@ class CsvRecording:
         return _array(values)
 
 
-@dataclass
-class _Parts:
-    """A column while it is read."""
-
-    values: list[NDArray[Any]] = field(default_factory=list[NDArray[Any]])
-    absent: list[NDArray[np.bool_]] = field(default_factory=list[NDArray[np.bool_]])
-
-    def joined(self) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        if not self.values:
-            return np.empty(0), np.empty(0, bool)
-        return np.concatenate(self.values), np.concatenate(self.absent)
+def _joined(name: str, blocks: list[_Block]) -> Column:
+    if not blocks:
+        return Column(name, np.empty(0), np.empty(0, bool), np.empty(0, np.int64))
+    values, absent, lines = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return Column(name, values, absent, lines)
 
 
 def _array(values: list[float | int]) -> NDArray[Any]:

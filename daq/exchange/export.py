@@ -195,12 +195,9 @@ def _window_facts(window: TimeSpan, start_ns: int) -> dict[str, Any]:
     }
 
 
-def _format(out: Path, format: str | None) -> Format:
-    if format is None:
-        if out.suffix.lower() not in _SUFFIXES:
-            raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or a format")
-        return _SUFFIXES[out.suffix.lower()]
-    for valid in get_args(Format):
-        if format == valid:
-            return valid
-    raise ExchangeError(f"expected a format of {', '.join(get_args(Format))}, got {format!r}")
+def _format(out: Path, format: Format | None) -> Format:
+    if format is None and out.suffix.lower() not in _SUFFIXES:
+        raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or a format")
+    if format not in (None, *get_args(Format)):
+        raise ExchangeError(f"expected a format of {', '.join(get_args(Format))}, got {format!r}")
+    return format or _SUFFIXES[out.suffix.lower()]

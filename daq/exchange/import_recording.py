@@ -23,23 +23,22 @@ its direction.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from daq.exchange.columns import ColumnFile
 from daq.exchange.errors import ExchangeError
-from daq.exchange.imported_log import Part, write_log
-from daq.exchange.imported_parts import ImportFindings, gap_events, make_parts, release_events
+from daq.exchange.imported_log import ImportFindings, Part, gap_events, make_parts, release_events, write_log
 from daq.exchange.provenance import iso_time
 from daq.exchange.readings import LEAST_ROWS, SensorReadings, since_1970
 from daq.exchange.recipe import Recipe
-from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
 from daq.guided_test_kinds import KINDS, kind_of, point_of
 from daq.log.time_span import TimeSpan
 from daq.log.verdicts import digest_of
+from daq.signals.run_clocks import ASSUMED_TOLERANCE_PPM
 from daq.version import software_version
 from rig_basics.texts import storable
 from rig_configs.schema import Rig
@@ -213,3 +212,56 @@ def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
     name = rig.roles.angles.device
     encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})
     return rig.model_copy(update={"devices": {**rig.devices, name: encoder}})
+
+
+_TOLERANCE = "clock_tolerance_ppm"
+
+
+@dataclass(frozen=True)
+class RecorderClock:
+    """Clock of a recording.
+
+    Attributes:
+        tolerance_ppm: relative standard uncertainty of its rate, ppm.
+        basis: source of the tolerance: "stated", "rig file" or "assumed".
+        recorder: the operator's name for the recorder; "" if none was given.
+    """
+
+    tolerance_ppm: float
+    basis: str
+    recorder: str = ""
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Facts for the log."""
+        facts = {"clock_tolerance_ppm": repr(self.tolerance_ppm), "clock_tolerance_from": self.basis}
+        return facts | ({"recorder": self.recorder} if self.recorder else {})
+
+    @property
+    def warning(self) -> str | None:
+        """Warning about an assumed tolerance."""
+        if self.basis != "assumed":
+            return None
+        return (
+            f"the recorder's clock is assumed to be accurate to {self.tolerance_ppm:g} ppm (one standard deviation): "
+            "neither the rig file nor the import states its accuracy"
+        )
+
+
+def recorder_clock(stated_ppm: float | None, recorder: str, rig: Rig, topics: Iterable[str]) -> RecorderClock:
+    """Return the clock of a file.
+
+    Args:
+        stated_ppm: tolerance stated by the operator, ppm; None if not stated.
+        recorder: the operator's name for the recorder, or "".
+        rig: rig file, which may state the tolerances of the devices' clocks.
+        topics: channels in the file; the largest tolerance of the devices that fill them is used.
+    """
+    if stated_ppm is not None:
+        return RecorderClock(stated_ppm, "stated", recorder)
+    filled, wanted = rig.roles.device_of, set(topics)
+    devices = [rig.devices[device] for device in sorted({filled[topic] for topic in wanted if topic in filled})]
+    stated = [float(getattr(d, _TOLERANCE)) for d in devices if _TOLERANCE in d.model_fields_set]
+    if stated and len(stated) == len(devices) and wanted <= filled.keys():
+        return RecorderClock(max(stated), "rig file", recorder)
+    return RecorderClock(max([ASSUMED_TOLERANCE_PPM, *stated]), "assumed", recorder)

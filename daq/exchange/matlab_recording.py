@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,9 +17,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy import io
+from typing_extensions import override
 
 from daq.exchange.bombs import refuse_bomb, refuse_mat_bomb
-from daq.exchange.columns import Column, as_column
+from daq.exchange.columns import Column, ColumnFile, as_column
 from daq.exchange.errors import ExchangeError
 
 matlab: Any = io  # scipy has no types
@@ -30,13 +31,11 @@ _MAX_COLUMNS = 256  # of a matrix; with more it is an image or similar
 _FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32, szip, nbit, scale-offset; h5py's lzf
 
 
-class MatRecording:
-    """See daq.exchange.columns.ColumnFile; versions 4, 5 and 7."""
+class MatRecording(ColumnFile):
+    """MAT file of version 4, 5 or 7."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.units: Mapping[str, str] = {}
-        self.remarks: Sequence[str] = ()
+        super().__init__(path)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # scipy warns of skipped variables; they are not among the names
@@ -49,14 +48,13 @@ class MatRecording:
         except Exception as fault:  # scipy raises many kinds of errors for damaged files
             raise _unreadable(path, fault) from fault
         self._columns: dict[str, NDArray[Any]] = {}
-        self.others: dict[str, str] = {}
         for name, value in found.items():
             if not name.startswith("__"):
                 self._collect(name, value)
-        self.names: tuple[str, ...] = tuple(self._columns)
+        self.names = tuple(self._columns)
 
+    @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See ColumnFile."""
         return {name: as_column(f"{self.path}: {name}", self._columns[name]) for name in names}
 
     def _collect(self, name: str, value: Any) -> None:
@@ -69,14 +67,11 @@ class MatRecording:
             self.others[name] = _described(value)
 
 
-class Hdf5Recording:
-    """See daq.exchange.columns.ColumnFile; groups are written with dots."""
+class Hdf5Recording(ColumnFile):
+    """HDF5 file; groups are written with dots."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.units: Mapping[str, str] = {}
-        self.remarks: Sequence[str] = ()
-        self.others: dict[str, str] = {}
+        super().__init__(path)
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
@@ -85,10 +80,10 @@ class Hdf5Recording:
             raise
         except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
-        self.names: tuple[str, ...] = tuple(self._places)
+        self.names = tuple(self._places)
 
+    @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """See ColumnFile."""
         columns: dict[str, Column] = {}
         try:
             with h5py.File(self.path, "r") as file:

@@ -6,8 +6,7 @@ bytes from the time at which it has started the devices' transmission.
 """
 
 from daq.drivers.played import PlayedDevice
-from daq.playback.devices import played_devices
-from daq.playback.outlets import LinkOutlet, Outlet, open_outlets
+from daq.playback.outlets import LinkOutlet, Outlet, open_outlets, played_devices
 from daq.playback.player import BACKLOG_BYTES, Playback, PlaybackState
 
 __all__ = [

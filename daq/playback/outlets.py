@@ -1,4 +1,4 @@
-"""Ports on which a log is played: new or existing ones."""
+"""Ports on which a log is played, new or existing ones, and the simulated devices behind them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing_extensions import override
 
 from daq.drivers.contract import DeviceLine
 from daq.drivers.devices import devices_of, installed_of
-from daq.errors import LinkLost, LogError
+from daq.drivers.played import PlayedDevice
+from daq.errors import DeviceError, LinkLost, LogError
 from daq.log import Log
-from daq.log.snapshot import rig_of
+from daq.log.snapshot import identities_of, rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.slcan import AdapterText
 from daq.transports.wires import KINDS, make_wire
@@ -117,34 +118,28 @@ def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
     """
     if not log.devices:
         raise LogError(f"{log.path}: contains no raw bytes (it was not recorded from devices): nothing to play")
-    if to in KINDS:
-        return _new_ports(_lines(log), to)
-    ports, lines = _named_ports(log, to), _lines(log)
+    lines = _lines(log)
+    ports = dict.fromkeys(lines, to) if to in KINDS else _named_ports(log, to)
     outlets: dict[str, Outlet] = {}
     try:
         for device, port in ports.items():
-            line = lines[device]
-            is_text = line.bitrate is not None and not port.startswith("can:")
-            link = open_link(port, line.baud, None if is_text else line.bitrate, line.parity, line.stop_bits)
-            outlets[device] = LinkOutlet(link, AdapterText() if is_text else None)
-    except BaseException:
+            outlets[device] = _outlet(lines[device], port)
+    except BaseException as fault:
         for outlet in outlets.values():
             outlet.close()
+        if to in KINDS and isinstance(fault, OSError):
+            raise LinkLost(f"expected {number_of(len(lines), f'{to} port')}, one cannot be made: {fault}") from fault
         raise
     return outlets
 
 
-def _new_ports(lines: Mapping[str, DeviceLine], kind: str) -> dict[str, Outlet]:
-    outlets: dict[str, Outlet] = {}
-    try:
-        for device, line in lines.items():
-            outlets[device] = make_wire(kind, notice_host=True, adapter=line.bitrate is not None)
-    except OSError as fault:
-        for outlet in outlets.values():
-            outlet.close()
-        needed = number_of(len(lines), f"{kind} port")
-        raise LinkLost(f"expected {needed}, one cannot be made: {fault}") from fault
-    return outlets
+def _outlet(line: DeviceLine, port: str) -> Outlet:
+    """Make a port of a kind, or open an existing one."""
+    if port in KINDS:
+        return make_wire(port, notice_host=True, adapter=line.bitrate is not None)
+    is_text = line.bitrate is not None and not port.startswith("can:")
+    link = open_link(port, line.baud, None if is_text else line.bitrate, line.parity, line.stop_bits)
+    return LinkOutlet(link, AdapterText() if is_text else None)
 
 
 def _named_ports(log: Log, to: str) -> Mapping[str, str]:
@@ -166,3 +161,22 @@ def _lines(log: Log) -> Mapping[str, DeviceLine]:
     """Return the settings of each device's line."""
     devices = devices_of(installed_of(rig_of(log).devices))
     return {name: devices[name].line if name in devices else DeviceLine("", _DEFAULT_BAUD) for name in log.devices}
+
+
+def played_devices(log: Log) -> dict[str, PlayedDevice]:
+    """Return the simulated device for each device of a log.
+
+    Raises:
+        LogError: the log does not contain the settings of its devices.
+    """
+    devices, identities = devices_of(installed_of(rig_of(log).devices)), identities_of(log)
+
+    def played(name: str) -> PlayedDevice:
+        if name not in devices:
+            return PlayedDevice()
+        try:
+            return devices[name].played(identities.get(name, {}))
+        except (LogError, DeviceError) as fault:
+            raise LogError(f"{log.path}: {name}: {fault}") from fault
+
+    return {device: played(device) for device in log.devices}

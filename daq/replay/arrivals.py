@@ -17,8 +17,7 @@ from daq.channels import TX, raw_topic
 from daq.drivers.calibrated import CalibratedPipeline
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
-from daq.replay.stored import StoredRows
-from daq.replay.stream import decoded
+from daq.replay.stream import StoredRows, decoded
 
 _ROWS = 4096  # stored samples per read
 _READ_NS = 20_000_000  # stored samples that arrived within this time are treated as one read

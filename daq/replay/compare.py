@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.items import Batch, DeviceEvent, joined
 from daq.log import Log
-from daq.replay.stored import StoredRows
+from daq.replay.stream import StoredRows
 from rig_basics.texts import number_of
 
 _SLICE = 65_536  # samples per comparison

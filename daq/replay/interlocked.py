@@ -25,10 +25,16 @@ from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.arrivals import Arrival, Arrivals, with_all_fields
-from daq.replay.checking import Progress, share_of
-from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
-from daq.replay.holes import Holes
-from daq.replay.session_facts import closing_ns, needed_at_rest, roles_in, stops_of
+from daq.replay.checking import Holes, Progress, share_of
+from daq.replay.commanded_speeds import (
+    LoggedSpeeds,
+    closing_ns,
+    needed_at_rest,
+    report_hand_speeds,
+    roles_in,
+    standing_speed,
+    stops_of,
+)
 from daq.replay.stream import pipelines_with
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits, Rig

@@ -1,4 +1,4 @@
-"""Decoding of a log's raw bytes with new pipelines, as during the recording, in bounded memory."""
+"""A log's raw bytes decoded with new pipelines as during the recording, and its stored samples; in bounded memory."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from daq.drivers.calibrated import CalibratedPipeline, Calibration
 from daq.drivers.devices import installed_of, make_pipelines
 from daq.errors import DeviceError, LogError
 from daq.items import Batch, DeviceEvent
 from daq.log import Log
-from daq.log.samples import RawChunk
+from daq.log.samples import RawChunk, Samples
 from daq.log.snapshot import identities_of, rig_of, seeds_of
 from rig_configs.schema import Rig
 
@@ -76,3 +79,40 @@ def decoded(log: Log, pipelines: Mapping[str, CalibratedPipeline]) -> Iterator[D
     for device, chunk in log.raw_in_order():
         pipeline = pipelines.get(device)
         yield device, chunk, [] if pipeline is None else pipeline.feed(chunk.direction, chunk.data, chunk.host_ns)
+
+
+_ROWS = 60_000  # approximate number of samples in memory
+
+
+class StoredRows:
+    """One channel of a log from its beginning on.
+
+    Attributes:
+        names: its fields; empty if the log does not have the channel.
+    """
+
+    def __init__(self, log: Log, topic: str) -> None:
+        exists = topic in log and log.count(topic) > 0
+        self.names: tuple[str, ...] = log.channel(topic).names if exists else ()
+        self._parts = log.parts(topic, _ROWS) if exists else iter(())
+        heads = {"time_ns": np.int64, "log_time_ns": np.int64, "sequence": np.uint32}
+        self._rows = {name: np.empty(0, kind) for name, kind in heads.items()}
+
+    def read_next(self, count: int, until_ns: int | None = None) -> dict[str, NDArray[Any]]:
+        """Return the next samples: time_ns, log_time_ns, sequence and every field, each of shape (n ≤ count,).
+
+        The number is smaller only at the channel's end, or if the next log time is not before `until_ns`.
+        """
+        while len(self._rows["log_time_ns"]) < count and (part := next(self._parts, None)) is not None:
+            new = _rows_of(part)
+            self._rows = {name: np.concatenate([self._rows.get(name, new[name][:0]), new[name]]) for name in new}
+        before = self._rows["log_time_ns"][:count]
+        end = len(before) if until_ns is None else int(np.searchsorted(before, until_ns))
+        found = {name: values[:end] for name, values in self._rows.items()}
+        self._rows = {name: values[end:] for name, values in self._rows.items()}
+        return found
+
+
+def _rows_of(samples: Samples) -> dict[str, NDArray[Any]]:
+    heads = {"time_ns": samples.time_ns, "log_time_ns": samples.log_time_ns, "sequence": samples.sequence}
+    return heads | samples.columns

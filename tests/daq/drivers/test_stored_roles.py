@@ -14,7 +14,7 @@ from daq.errors import LogError
 from daq.log import open_log, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
-from daq.playback.devices import played_devices
+from daq.playback.outlets import played_devices
 from daq.replay.stream import pipelines_of
 from daq.signals.run import load_run
 from rig_configs import load_rig

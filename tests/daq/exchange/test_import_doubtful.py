@@ -12,8 +12,7 @@ import pytest
 
 from daq.errors import LogError
 from daq.exchange import ExchangeError, import_recording, make_recipe
-from daq.exchange.imported_channels import DISPLACEMENT_X
-from daq.exchange.imported_log import Part, write_log
+from daq.exchange.imported_log import DISPLACEMENT_X, Part, write_log
 from daq.exchange.recordings import open_recording
 from daq.log.time_span import TimeSpan
 from daq.signals.run import Run, load_run

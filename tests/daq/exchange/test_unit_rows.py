@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from daq.exchange import ExchangeError
 from daq.exchange.csv_dialect import sniff
-from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
+from daq.exchange.units import is_unit_row, name_and_unit, unit_word
 from tests.daq.exchange.test_import import bring_in, text
 from tests.effort import cases
 

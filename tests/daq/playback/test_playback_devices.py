@@ -280,6 +280,6 @@ def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:
 
 
 def test_an_impossible_identity_is_reported_with_log_and_device(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.playback.devices.identities_of", lambda _: {"laser_y": {"words": []}})
+    monkeypatch.setattr("daq.playback.outlets.identities_of", lambda _: {"laser_y": {"words": []}})
     with pytest.raises(LogError, match=r"a.mcap: .*laser_y: .*output words"):
         played_devices(log)

@@ -17,8 +17,8 @@ from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals
+from daq.replay.checking import Holes
 from daq.replay.commanded_speeds import LoggedSpeeds, report_hand_speeds, standing_speed
-from daq.replay.holes import Holes
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
@@ -333,7 +333,7 @@ def test_a_hole_is_neither_silence_nor_a_runaway(tmp_path: Path, command_in_it: 
 
 
 def test_holes_are_those_between_two_known_times() -> None:
-    from daq.mcap.missing import Missing
+    from daq.mcap.damage import Missing
 
     known = Missing("x", start_ns=5, end_ns=9, messages=3)
     places = [

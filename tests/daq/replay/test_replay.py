@@ -17,7 +17,7 @@ from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
-from daq.replay import check, compare, paced, stored
+from daq.replay import check, compare, paced, stream
 from daq.replay.calibration import Calibration
 from daq.replay.decoded_again import decode_again
 from daq.replay.pace import Pace
@@ -33,7 +33,7 @@ from tests.daq.small_log import write_small_log
 def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slices and windows so small that every log has many."""
     monkeypatch.setattr(compare, "_SLICE", 64)
-    monkeypatch.setattr(stored, "_ROWS", 100)
+    monkeypatch.setattr(stream, "_ROWS", 100)
 
 
 # --- compared ----------------------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def test_samples_come_in_the_order_of_the_file_where_their_times_step_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A clock mapped again: sample times step back by 7 ms every 50, sometimes across a window's end at 20 ms."""
-    monkeypatch.setattr(stored, "_ROWS", 20)
+    monkeypatch.setattr(stream, "_ROWS", 20)
     number = np.arange(400)
     time_ns = START_NS + 1_000_000 * (number - 7 * (number // 50))
     with LogFile(tmp_path / "a.mcap", {}, {}, (), START_NS) as log:
@@ -68,7 +68,7 @@ def test_samples_come_in_the_order_of_the_file_where_their_times_step_back(
             log.batch(Batch(TACHO, time_ns[part], number[part].astype(np.uint32), columns), START_NS + 1_000_000 * i)
         path = log.finish({})
     with open_log(path) as opened:
-        rows = stored.StoredRows(opened, "tacho")
+        rows = stream.StoredRows(opened, "tacho")
         parts = [rows.read_next(33)["sequence"] for _ in range(13)]
     assert np.array_equal(np.concatenate(parts), number)
 

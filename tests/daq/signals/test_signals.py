@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from daq.errors import ChannelMissing, LogError
-from daq.exchange.imported_channels import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
+from daq.exchange.imported_log import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
 from daq.items import Batch, DeviceEvent
 from daq.log.file import LogFile
 from daq.signals.run import load_run
