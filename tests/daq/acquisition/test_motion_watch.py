@@ -152,7 +152,7 @@ def test_free_pendulums_may_balance_the_rotor(run_up: Column) -> None:
     ("period_s", "from_s", "found"),
     [(0.02, 0.0, True), (0.1, 0.0, True), (0.02, 1.96, False)],  # the last one: it sends again after a gap
 )
-def test_a_constant_reading_beside_a_motion_is_a_fault_once_it_lasts(
+def test_a_constant_reading_while_the_other_moves_is_a_fault_once_it_lasts(
     period_s: float, from_s: float, found: bool
 ) -> None:
     watch = MotionWatch(SENSORS, RIG)
