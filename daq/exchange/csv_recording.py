@@ -32,7 +32,8 @@ class CsvRecording(ColumnFile):
     def __init__(self, path: Path, decimal: str | None = None) -> None:
         super().__init__(path)
         self._dialect = sniff(path, decimal)
-        self.names, self.units = self._dialect.names, self._dialect.units
+        self.names: tuple[str, ...] = self._dialect.names
+        self.units: Mapping[str, str] = self._dialect.units
 
     @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
@@ -70,7 +71,7 @@ class CsvRecording(ColumnFile):
                 if number < dialect.first_line or is_comment(line):
                     continue
                 if not line.endswith("\n"):
-                    self.remarks = [
+                    self.remarks[:] = [
                         f"{self.path}: line {number}, the last one, has no line end: it was cut while it was written, "
                         "and is left out"
                     ]

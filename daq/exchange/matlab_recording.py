@@ -51,7 +51,7 @@ class MatRecording(ColumnFile):
         for name, value in found.items():
             if not name.startswith("__"):
                 self._collect(name, value)
-        self.names = tuple(self._columns)
+        self.names: tuple[str, ...] = tuple(self._columns)
 
     @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
@@ -80,7 +80,7 @@ class Hdf5Recording(ColumnFile):
             raise
         except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
-        self.names = tuple(self._places)
+        self.names: tuple[str, ...] = tuple(self._places)
 
     @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:

@@ -35,7 +35,7 @@ class ParquetRecording(ColumnFile):
                 self._schema = pq.read_schema(file)
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(path, fault) from fault
-        self.names = tuple(self._schema.names)
+        self.names: tuple[str, ...] = tuple(self._schema.names)
 
     @override
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:

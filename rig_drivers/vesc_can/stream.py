@@ -140,7 +140,8 @@ class CanLine(VescLine):
 
     @override
     def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
-        self.speeds_erpm, self.others = [], []
+        self.speeds_erpm.clear()
+        self.others.clear()
         frames, events = self._lines.received(data)
         payloads: list[bytes] = []
         for frame in frames:
