@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from typing_extensions import override
+
 from daq import channels
 from daq.acquisition.effects import Keep, Note, WriteHealth
 from daq.channels import CHANNELS, Channel
@@ -92,15 +94,15 @@ class Disk(Protocol):
         ...
 
 
-class RealDisk:
+class RealDisk(Disk):
     """The disk of this machine; implements Disk."""
 
+    @override
     def free_bytes(self, folder: Path) -> int:
-        """See Disk."""
         return shutil.disk_usage(folder).free
 
+    @override
     def sync(self, log: LogFile) -> None:
-        """See Disk."""
         log.sync()
 
 

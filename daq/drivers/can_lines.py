@@ -11,9 +11,10 @@ from collections.abc import Container, Iterable
 from typing import Any
 
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.contract import Talk
-from daq.drivers.played import PlayedDevice
+from daq.drivers.played import BytesFromDevice, PlayedDevice
 from daq.drivers.sparing import EachSecond
 from daq.items import RX, TX, DeviceEvent
 from daq.transports.can_frames import CLOSE_BUS, AdapterMessage, CanFrame, Decoded, FrameDecoder, encode, opens_bus
@@ -173,7 +174,7 @@ class Adapter:
         return b""
 
 
-class BothWays:
+class BothWays(BytesFromDevice):
     """Filter for a CAN bus, which carries both directions: the host's frames are inserted between the device's.
 
     Messages between the host and its own adapter (open, close, refusals) are not on the bus and are not played.
@@ -190,15 +191,15 @@ class BothWays:
         self._omitted = omitted
         self._decoders = {RX: FrameDecoder(), TX: FrameDecoder()}
 
+    @override
     def feed(self, direction: int, data: bytes) -> bytes:
-        """See BytesFromDevice."""
         omitted = self._omitted if self.host_is_there and direction != RX else ()
         return encode(
             *(frame for frame in self._decoders[direction].feed(data).frames if frame.arbitration_id not in omitted)
         )
 
+    @override
     def rest(self) -> bytes:
-        """See BytesFromDevice."""
         return b""
 
 
@@ -215,16 +216,16 @@ class PlayedOnBus(PlayedDevice):
         self.adapter: Adapter = Adapter()
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return self.adapter.open
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         self.adapter.open = True
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. Messages to the adapter do not count as commands."""
         was_open = self.adapter.open
         frames = self.adapter.receive(data)
         self.commands += sum(map(self.is_command, frames))

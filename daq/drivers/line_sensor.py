@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.channels import Channel
 from daq.clock import ClockMap, ClockSeed, Unwrap
@@ -176,14 +177,14 @@ class LinePipeline(Pipeline):
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline."""
         cycle = self._count.clock_size / self._count.clock_step or self._count.size / self._count.step
         seed = self._clock.seed(round(cycle * self._count.period_ns))
         return PipelineStatus(clock_seed=seed, clock_std_ns=self._clock.std_ns)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return []
         if not data:
@@ -282,12 +283,12 @@ class SimulatedSensor(FarEnd):
         self._console = _Console(sensor, {})
         self._next: int | None = None
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         return self._console.hear(data)
 
+    @override
     def sample(self, motion: MotionInterval) -> bytes:
-        """See FarEnd."""
         first, last = (int(float(self._clock.device_s(motion.time_s[i])) // self._period_s) for i in (0, -1))
         numbers = np.arange(first + 1 if self._next is None else self._next, last + 1)
         self._next = max(last + 1, self._next or 0)
@@ -311,16 +312,16 @@ class PlayedSensor(PlayedDevice):
         self.expects: str = sensor.commands.start
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return self._console.sends
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         self._console.sends = True
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         answer = self._console.hear(data)
         self.commands: int = self._console.count
         return answer

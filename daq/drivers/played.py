@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from typing_extensions import override
+
 from daq.channels import RX
 
 
@@ -24,15 +26,15 @@ class BytesFromDevice(Protocol):
         ...
 
 
-class OneWay:
+class OneWay(BytesFromDevice):
     """Filter for a serial line with one wire for each direction: only the device's bytes are played."""
 
+    @override
     def feed(self, direction: int, data: bytes) -> bytes:
-        """See BytesFromDevice."""
         return data if direction == RX else b""
 
+    @override
     def rest(self) -> bytes:
-        """See BytesFromDevice."""
         return b""
 
 

@@ -7,6 +7,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from typing_extensions import override
+
+from daq.drivers.contract import Poller
 from daq.errors import LinkLost
 from daq.transports.host_clock import HostClock, Repeated
 from rig_basics.ignoring import ignoring
@@ -37,7 +40,7 @@ class Request:
     answer_s: float
 
 
-class RequestLoop:
+class RequestLoop(Poller):
     """Sends numbered requests periodically, and never before the last one is answered or given up; see Poller.
 
     Args:
@@ -55,16 +58,16 @@ class RequestLoop:
         self._echo = b""  # part of the newest request whose echo may still come
         self._repeated: Repeated | None = None
 
+    @override
     def start(self) -> None:
-        """See Poller."""
         self.stop()
         self._asked_s, self._echo = None, b""  # a request before a pause is not answered any more
         self._due_s = self._clock.wall_s()
         beat_s = max(_LEAST_BEAT_S, self._request.period_s / _BEATS)
         self._repeated = self._clock.every(beat_s, self._beat, "polls", self._failed)
 
+    @override
     def heard(self, data: bytes) -> None:
-        """See Poller."""
         with self._lock:
             answered = self._request.end in self._without_echo(data)
             if answered:
@@ -87,8 +90,8 @@ class RequestLoop:
         with self._lock:
             self._due_s = min(self._due_s, self._clock.wall_s())
 
+    @override
     def stop(self) -> None:
-        """See Poller."""
         repeated, self._repeated = self._repeated, None
         if repeated is not None:
             repeated.stop()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from typing_extensions import override
 
 from daq.drivers.simulated import FarEnd, FaultKind
 from rig_basics.units import RPM
@@ -121,8 +122,8 @@ class SimulatedMotor(FarEnd):
     def _restart(self) -> None:
         """Set the state after power-up."""
 
+    @override
     def facts(self) -> dict[str, Any]:
-        """See FarEnd."""
         return {"speed_rpm": self.speed_rpm, "emergencies": self.emergencies, "watchdog_ms": self.watchdog_ms}
 
     def _passed_s(self, now_s: float) -> float:

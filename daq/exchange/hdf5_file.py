@@ -103,16 +103,16 @@ class _Disk(io.RawIOBase):
             self._fault = fault
         return size
 
+    @override
     def readinto(self, buffer: Any) -> int:
-        """See io.RawIOBase."""
         return self._file.readinto(buffer) or 0
 
+    @override
     def seek(self, offset: int, whence: int = 0) -> int:
-        """See io.RawIOBase."""
         return self._file.seek(offset, whence)
 
+    @override
     def tell(self) -> int:
-        """See io.RawIOBase."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:
@@ -123,7 +123,7 @@ class _Disk(io.RawIOBase):
             self._fault = self._fault or fault
             return size or 0
 
+    @override
     def close(self) -> None:
-        """See io.RawIOBase."""
         self._file.close()
         super().close()

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from typing_extensions import override
 
 from daq.acquisition.reader import Rest, Turns
 from daq.errors import LinkLost
 from daq.lockstep.clock import SimulatedClock
+from daq.transports.link import Link
 
 _WAKE_S = (40e-6, 80e-6)  # least time to wake a thread, and mean of the additional time
 _LATE_SHARE, _LATE_S = 2e-3, (1e-3, 15e-3)  # share of wake-ups that the host's scheduler delays, and range of the delay
@@ -90,7 +92,7 @@ class Cable:
         self.collected.clear()
 
 
-class LockstepLink:
+class LockstepLink(Link):
     """Link of a simulated rig, which carries out its reader's waits on the simulated clock.
 
     It implements Link and FollowedLink.
@@ -114,16 +116,16 @@ class LockstepLink:
         """
         raise NotImplementedError("a simulated link is followed, not read")
 
+    @override
     def write(self, data: bytes) -> None:
-        """See Link."""
         if self._lost or self._closed:
             raise LinkLost(f"{self.name}: lost while writing. Look at cable and power")
         self._cable.sent += data
         self._cable.asked = True
         self._cable.on_write()
 
+    @override
     def close(self) -> None:
-        """See Link."""
         self._closed = True
         if self._cable.link is self:
             self._cable.link = None

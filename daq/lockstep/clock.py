@@ -12,6 +12,8 @@ import queue
 from collections.abc import Callable
 from typing import Any
 
+from typing_extensions import override
+
 from daq.transports.host_clock import HostClock, Repeated
 from rig_basics.interruptions import interruptions_held
 
@@ -41,12 +43,12 @@ class SimulatedClock(HostClock):
 
     # --- time --------------------------------------------------------------------------------------------------
 
+    @override
     def now_ns(self) -> int:
-        """See HostClock."""
         return self._now_ns
 
+    @override
     def wall_s(self) -> float:
-        """See HostClock. The time counts from the start of the clock."""
         return (self._now_ns - self._start_ns) * 1e-9
 
     # --- actions -----------------------------------------------------------------------------------------------
@@ -111,22 +113,22 @@ class SimulatedClock(HostClock):
 
     # --- waiting -----------------------------------------------------------------------------------------------
 
+    @override
     def wait(self, seconds: float) -> None:
-        """See HostClock."""
         self.pass_until(self._now_ns + max(round(seconds * 1e9), _MIN_WAIT_NS))
 
+    @override
     def every(
         self, seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
     ) -> Repeated:
-        """See HostClock."""
         return _Repeating(self, seconds, do, failed)
 
+    @override
     def queue(self) -> queue.Queue[Any]:
-        """See HostClock."""
         return _Inbox(self)
 
 
-class _Repeating:
+class _Repeating(Repeated):
     """A repeated action on the simulated clock; implements Repeated."""
 
     def __init__(
@@ -147,8 +149,8 @@ class _Repeating:
             return
         self._clock.after(self._period_s, self._turn)
 
+    @override
     def stop(self, seconds: float | None = 2.0) -> None:
-        """See Repeated."""
         self._ended = True
 
 
@@ -159,8 +161,8 @@ class _Inbox(queue.Queue[Any]):
         super().__init__()
         self._clock = clock
 
+    @override
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """See queue.Queue."""
         if block and self.empty():
             seconds = _MAX_GET_S if timeout is None else max(timeout, 0.0)
             self._clock.pass_until(self._clock.now_ns() + round(seconds * 1e9), lambda: not self.empty())

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from daq.acquisition.edge import Edge
+from daq.acquisition.recorder import Disk
 from daq.drivers.contract import DeviceLine
 from daq.errors import LinkLost
 from daq.lockstep.cable import Cable, LockstepLink
@@ -27,7 +29,7 @@ the device clocks would beat: the delay of the bytes would grow slowly, which lo
 _LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device
 
 
-class SimulatedDisk:
+class SimulatedDisk(Disk):
     """A simulated disk without delay; implements Disk.
 
     Attributes:
@@ -36,8 +38,8 @@ class SimulatedDisk:
 
     room_bytes: int = 100 * 2**30
 
+    @override
     def free_bytes(self, folder: Path) -> int:
-        """See Disk."""
         return self.room_bytes
 
     def sync(self, log: LogFile) -> None:

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from typing_extensions import override
+
 
 class Repeated(Protocol):
     """A periodic action."""
@@ -69,7 +71,7 @@ class HostClock:
         return queue.Queue()
 
 
-class _RepeatingThread:
+class _RepeatingThread(Repeated):
     """See HostClock.every."""
 
     def __init__(
@@ -88,8 +90,8 @@ class _RepeatingThread:
             if not self._ending.is_set():
                 self._failed(error)
 
+    @override
     def stop(self, seconds: float | None = 2.0) -> None:
-        """See Repeated."""
         self._ending.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(seconds)

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import can
 import serial
+from typing_extensions import override
 
 from daq.errors import LinkLost
 from daq.transports import can_frames, slcan
@@ -135,7 +136,7 @@ def _check_parity(port: Any) -> None:
         _log.info("parity not checked, so bytes with a wrong parity are decoded: %s", error)
 
 
-class SerialLink:
+class SerialLink(Link):
     """A serial port through pyserial. `read` returns as soon as bytes have arrived."""
 
     def __init__(self, port: str, baud: int, parity: str = "N", stop_bits: int = 1) -> None:
@@ -165,8 +166,8 @@ class SerialLink:
                 self._descriptor = self._port.fileno()
         self._lock = threading.Lock()
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """See Link."""
         try:
             if self._descriptor is None:  # no descriptor to wait on: the port's own timeout (_POLL_S) applies
                 first = self._port.read(1)
@@ -196,16 +197,16 @@ class SerialLink:
                 size += last
         return size
 
+    @override
     def write(self, data: bytes) -> None:
-        """See Link."""
         with self._lock:
             try:
                 self._port.write(data)
             except (OSError, ValueError, TypeError, serial.SerialException) as error:
                 raise LinkLost(f"{self.name}: lost while writing ({error}). Look at cable and power") from error
 
+    @override
     def close(self) -> None:
-        """See Link."""
         with ignoring(_log, "closing the port", OSError, serial.SerialException):
             self._port.close()
 
@@ -223,7 +224,7 @@ def _probe_when_silent(connection: socket.socket) -> None:
                 connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
-class SocketLink:
+class SocketLink(Link):
     """A device behind a TCP port: a serial server, or a simulated rig on a system without ptys."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -247,8 +248,8 @@ class SocketLink:
         ready, _, _ = select.select([self._socket], [], [], _REJECT_WAIT_S)
         return bool(ready) and not self._socket.recv(1, socket.MSG_PEEK)
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """See Link."""
         try:
             ready, _, _ = select.select([self._socket], [], [], timeout_s)
             if not ready:
@@ -260,22 +261,22 @@ class SocketLink:
             raise LinkLost(f"{self.name}: the other end closed the connection. Look at its power and its network")
         return data
 
+    @override
     def write(self, data: bytes) -> None:
-        """See Link."""
         with self._lock:
             try:
                 self._socket.sendall(data)
             except (OSError, ValueError) as error:
                 raise LinkLost(f"{self.name}: lost while writing ({error})") from error
 
+    @override
     def close(self) -> None:
-        """See Link."""
         with contextlib.suppress(OSError):  # usual: the other end has closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 
-class DatagramLink:
+class DatagramLink(Link):
     """A device that sends datagrams to a UDP port of this host. A read returns all that wait, in succession.
 
     A reader that rests between two reads would otherwise fall behind a device that sends more often.
@@ -302,8 +303,8 @@ class DatagramLink:
         self._lock = threading.Lock()
         self._sender: Any = None  # address of the newest datagram
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """See Link."""
         out: list[bytes] = []
         size, wait_s = 0, timeout_s
         while size < _READ_BYTES:
@@ -329,8 +330,8 @@ class DatagramLink:
             _log.warning("%s: datagrams from %s are dropped: the device is %s", self.name, sender, self._device)
         return True
 
+    @override
     def write(self, data: bytes) -> None:
-        """See Link. The bytes are sent to the device from which the newest datagram has come."""
         if self._sender is None:
             raise LinkLost(f"{self.name}: nothing has come from the device, so its address is unknown")
         with self._lock:
@@ -339,12 +340,12 @@ class DatagramLink:
             except (OSError, ValueError) as error:
                 raise LinkLost(f"{self.name}: lost while writing ({error})") from error
 
+    @override
     def close(self) -> None:
-        """See Link."""
         self._socket.close()
 
 
-class CanLink:
+class CanLink(Link):
     """Any CAN adapter that python-can supports, as records of `can_frames`."""
 
     def __init__(self, interface: str, channel: str, bitrate: int) -> None:
@@ -353,8 +354,8 @@ class CanLink:
         self._decoder = can_frames.FrameDecoder()
         self._lock = threading.Lock()
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """See Link."""
         records: list[bytes] = []
         try:
             message = self._bus.recv(timeout_s)
@@ -381,8 +382,8 @@ class CanLink:
             except (can.CanError, OSError, ValueError) as error:
                 raise LinkLost(f"{self.name}: lost while writing ({error})") from error
 
+    @override
     def close(self) -> None:
-        """See Link."""
         self._bus.shutdown()
 
 
@@ -396,22 +397,22 @@ def _record(message: can.Message) -> bytes:
     )
 
 
-class SlcanLink:
+class SlcanLink(Link):
     """A CAN adapter that speaks slcan text on another link, as records of `can_frames`."""
 
     def __init__(self, line: Link) -> None:
         self.name: str = line.name
         self._line, self._text, self._lock = line, slcan.HostText(), threading.Lock()
 
+    @override
     def read(self, timeout_s: float) -> bytes:
-        """See Link. Text without a frame ends the wait."""
         return self._text.received(self._line.read(timeout_s))
 
+    @override
     def write(self, data: bytes) -> None:
-        """See Link."""
         with self._lock:
             self._line.write(self._text.sent(data))
 
+    @override
     def close(self) -> None:
-        """See Link."""
         self._line.close()

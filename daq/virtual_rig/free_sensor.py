@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.virtual_rig.beam import Beam
@@ -46,15 +47,15 @@ class FreeSensor(FarEnd, ABC):
     def begin(self) -> None:
         """Count from 0, as after power-up."""
 
+    @override
     def sample(self, motion: MotionInterval) -> bytes:
-        """See FarEnd."""
         numbers = self._beam.due(motion, self._period_s)
         if not len(numbers):
             return b""
         return self.packets(self._beam.reading(motion, numbers * self._period_s), numbers)
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         match what:
             case "blocked":
                 self._blocked = bool(value)

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from daq.drivers.can_lines import Adapter, PlayedOnBus
 from daq.drivers.canopen import cia301
@@ -283,8 +284,8 @@ class SimulatedEncoders(FarEnd):
         ]
         return cls(made)
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         frames = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             for encoder in self.encoders:
@@ -319,8 +320,8 @@ class SimulatedEncoders(FarEnd):
         reports = sorted(due, key=lambda entry: (entry[0], entry[1].arbitration_id))
         return encode(*(frame for frame in (*(frame for _, frame in reports), *foreign)))
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         number = int(value)
         match what:
             case "dead" | "frozen":
@@ -377,26 +378,26 @@ class PlayedEncoders(PlayedOnBus):
         self._nodes = [_node(encoder, settings, identity) for encoder in settings.encoders]
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return super().sending and all(node.operational for node in self._nodes)
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         super().begin()
         for node in self._nodes:
             node.state = cia301.Heartbeat.OPERATIONAL
 
+    @override
     def is_command(self, frame: CanFrame) -> bool:
-        """See PlayedOnBus. SYNC does not count."""
         return not self.is_host(frame)
 
+    @override
     def is_host(self, frame: CanFrame) -> bool:
-        """See PlayedOnBus."""
         return frame.arbitration_id == cia301.COB_SYNC
 
+    @override
     def answers(self, frame: CanFrame) -> list[CanFrame]:
-        """See PlayedOnBus."""
         return [answer for node in self._nodes for answer in node.answers(frame)]
 
 

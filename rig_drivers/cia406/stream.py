@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from daq import channels
 from daq.drivers.can_lines import CanLines, FirstContact
@@ -104,12 +105,12 @@ class EncoderPipeline(Pipeline):
         self._radian = 2 * math.pi / per_turn
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline."""
         return PipelineStatus(complaint=self._complaint)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         out: list[Batch | DeviceEvent] = []
         if not self._begun:
             self._begun = True

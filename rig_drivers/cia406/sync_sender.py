@@ -28,7 +28,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
+from typing_extensions import override
+
 from daq.drivers.canopen import cia301
+from daq.drivers.contract import Poller
 from daq.drivers.polling import Request, RequestLoop
 from daq.transports.can_frames import FrameDecoder
 from daq.transports.host_clock import HostClock
@@ -78,8 +81,8 @@ class SyncSender(RequestLoop):
         self._unanswered = Request(lambda number: wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, _UNANSWERED_S)
         super().__init__(self._unanswered, self._sync, clock)
 
+    @override
     def heard(self, data: bytes) -> None:
-        """See Poller."""
         before, now_s = bool(self._missing or self._owing), self._clock.wall_s()
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id in self._expected:
@@ -121,7 +124,7 @@ class SyncSender(RequestLoop):
         self._write(data)
 
 
-class NoRequests:
+class NoRequests(Poller):
     """See Poller: encoders that send by their own timer get no request."""
 
     def start(self) -> None:

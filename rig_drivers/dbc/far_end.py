@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import Adapter
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.transports.can_frames import CanFrame, encode
@@ -95,8 +97,8 @@ class SimulatedCanSensors(FarEnd):
             senders.append(_Sender(group, beams, int(beams[0].rng.integers(0, _MOST_COUNT))))
         return cls(settings, senders)
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         self._adapter.receive(data)
         return b""
 
@@ -167,8 +169,8 @@ class SimulatedCanSensors(FarEnd):
                 out.append((now_s, self._messages.frame(quantity.message, raw, (names[self._page % len(names)],))))
         return out
 
+    @override
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`."""
         if what not in self._faults:
             super().fail(what, value)
         self._faults[what] = float(value)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
+from typing_extensions import override
 
 from daq.channels import Channel
 from rig_configs.device import DISPLACEMENT_CALIBRATION, DeviceSettings, SampledTable
@@ -166,8 +167,8 @@ class CanSensors(DeviceSettings):
             raise ValueError(f"signal {signal.name} has the unit {signal.unit!r:.20} in the DBC file: state unit_m")
         return unit_m
 
+    @override
     def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings. Two messages with clocks are two clocks."""
         several = self.x is not None and self.y is not None and self.x.message != self.y.message
         sensors = [
             laser.sampled(device, laser.message if several and (laser.counter or laser.timestamp) else "")

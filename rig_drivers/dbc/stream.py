@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.clock import ClockSeed
 from daq.drivers.can_lines import CanLines
@@ -47,12 +48,12 @@ class CanPipeline(Pipeline):
             self._streams.setdefault((stream.message.frame_id, stream.message.extended), []).append(stream)
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline. A bus with several clocks has no seed."""
         return PipelineStatus(clock_seed=self._lasers[0].clock_seed if len(self._lasers) == 1 else None)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return []
         if not data:

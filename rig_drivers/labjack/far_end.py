@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
@@ -285,8 +286,8 @@ class SimulatedLabJack(FarEnd):
 
     # --- faults --------------------------------------------------------------------------------------------------
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         if what in self._faults:
             self._faults[what] = bool(value)
         elif what == "other":
@@ -305,8 +306,8 @@ class SimulatedLabJack(FarEnd):
         if on:
             self._clock.power_up(now_s)
 
+    @override
     def facts(self) -> Mapping[str, Any]:
-        """See FarEnd."""
         backlog = len(self._stream.data) if self._stream else 0
         return {"streaming": self._stream is not None, "backlog_bytes": backlog, "outputs": sorted(self._outputs)}
 

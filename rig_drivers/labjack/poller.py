@@ -10,6 +10,9 @@ import logging
 from collections.abc import Callable
 from functools import partial
 
+from typing_extensions import override
+
+from daq.drivers.contract import Poller
 from daq.drivers.polling import Request, RequestLoop
 from daq.errors import LinkLost
 from daq.transports.host_clock import HostClock
@@ -22,7 +25,7 @@ from rig_drivers.labjack.wire import Register
 _log = logging.getLogger(__name__)
 
 
-class StreamReads:
+class StreamReads(Poller):
     """Sends stream reads; see Poller. The pipeline explains a refused read by the answer to the read of its error.
 
     Args:
@@ -36,13 +39,13 @@ class StreamReads:
         self._loop, self._send = RequestLoop(Request(read, b"", settings.read_period_s, ANSWER_S), send, clock), send
         self._decoder = wire.MessageDecoder()
 
+    @override
     def start(self) -> None:
-        """See Poller."""
         self._decoder = wire.MessageDecoder()
         self._loop.start()
 
+    @override
     def heard(self, data: bytes) -> None:
-        """See Poller."""
         for message in self._decoder.feed(data).messages:
             if message.number < wire.FIRST_STREAM_ID:
                 continue
@@ -55,6 +58,6 @@ class StreamReads:
                     self._send(wire.request(wire.ERROR_NUMBER, [wire.read(Register.LAST_ERROR, 1)]))
         self._loop.heard(data)
 
+    @override
     def stop(self) -> None:
-        """See Poller."""
         self._loop.stop()

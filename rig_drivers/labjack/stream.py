@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap
@@ -98,8 +99,8 @@ class LabJackPipeline(Pipeline):
     def _begin_due(self) -> None:
         self._due, self._due_ns = DueLine(_STEP_NS), 0  # and the time of its first answer
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             number = wire.start_number(data)
             self._start = self._start if number is None else (number, host_ns)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.far_end import Air
@@ -250,8 +251,8 @@ class SimulatedMicroStrain(FarEnd):
         argument = struct.pack(">H" if self._config.aspp == 1 else ">I", node)
         return self._frame(0x31, _BASE, b"\x00\x91" + argument + b"\0")
 
+    @override
     def sample(self, motion: MotionInterval) -> bytes:
-        """See FarEnd."""
         if self.streaming and not self._without_supply:
             self._sweep(motion)
         for _, packet in self.air.landed(float(motion.time_s[-1])):
@@ -316,8 +317,8 @@ class SimulatedMicroStrain(FarEnd):
 
     # --- faults --------------------------------------------------------------------------------------------------
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         match what:
             case "radio":
                 self.air.silent = bool(value)
@@ -381,15 +382,15 @@ class PlayedMicroStrain(PlayedDevice):
         self._status = wire.request(settings.aspp, wire.BASE_ADDRESS, wire.BEACON_STATUS)
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return self._node.streaming
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         self._node.start()
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         self.commands += 1
         return self._node.receive(data.replace(self._status, b""), 0.0) + self._node.step(1.0)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
@@ -94,8 +95,8 @@ class MicroStrainPipeline(Pipeline):
         seed = self._clock.seed(_WRAP_NS)
         return PipelineStatus(self._has_reported, self._complaint, self._set_up_lost, seed)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return []
         found = self._search.feed(data)

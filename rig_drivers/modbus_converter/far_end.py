@@ -343,8 +343,8 @@ class PlayedConverter(PlayedDevice):
         self._began = False
         self._server = RegisterServer(settings, initial_words(settings), self._written, self._reads)
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         answers = self._server.receive(data)
         self.commands: int = self._server.requests
         return answers
@@ -357,7 +357,7 @@ class PlayedConverter(PlayedDevice):
         self.unfollowed += register == r.control and value in (r.run, r.run_reverse)
         return 0
 
+    @override
     def play(self, direction: int, data: bytes) -> bytes:
-        """See PlayedDevice."""
         self._began = True
         return super().play(direction, data)

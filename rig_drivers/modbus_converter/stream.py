@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from typing_extensions import override
+
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline, SpeedControl
 from daq.drivers.fault_checks import controller_checks
@@ -74,8 +76,8 @@ class ConverterPipeline(MotorPipeline):
         self._stopping = False  # whether the last command in the log is a stop
         self._refusals: dict[tuple[int, int], str] = {}  # reasons by function and register, until an answer
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         self.answers, self.reports = [], []
         if direction == TX:
             request = wire.parse_request(data)

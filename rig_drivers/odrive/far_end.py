@@ -119,8 +119,8 @@ class SimulatedOdrive(SimulatedMotor):
 
     # --- the line ---------------------------------------------------------------------------------------------
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         self._passed_s(now_s)
         frames = self._adapter.receive(data)
         if not (self._without_supply or self._faults["deaf"]):
@@ -240,8 +240,8 @@ class PlayedOdrive(PlayedOnBus):
         """See PlayedOnBus: the opening waits for them."""
         return self._reports.values()
 
+    @override
     def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
-        """See PlayedOnBus."""
         node, command = wire.split(frame.arbitration_id)
         if node != self._node:
             return

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import CanLines, OtherHost
 from daq.drivers.following import Following
 from daq.drivers.motors import MotorPipeline
@@ -65,8 +67,8 @@ class OdrivePipeline(MotorPipeline):
         self._beat: wire.Heartbeat | None = None
         self._last: tuple[float, float, int] | None = None  # position, speed, host time of the newest estimates
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         self.beats, self.speeds_rpm, self.restarted = [], [], False
         if direction == TX:
             if opens_bus(data):

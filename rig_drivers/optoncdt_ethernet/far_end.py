@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.simulated import FaultKind
 from daq.virtual_rig.beam import Beam
@@ -60,6 +61,6 @@ class SimulatedEthernetLaser(FreeSensor):
         words[:, self._settings.words.index("DIST")] = code
         return words
 
+    @override
     def begin(self) -> None:
-        """See FreeSensor."""
         self._counter = 0

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
@@ -86,8 +87,8 @@ class EthernetPipeline(Pipeline):
             learned={} if self._serial is None else {"order": self._serial[0], "serial": self._serial[1]},
         )
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return []
         if not data:

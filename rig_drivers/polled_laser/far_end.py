@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
@@ -84,14 +85,14 @@ class SimulatedPolledLaser(FarEnd):
         shown = wire.Reading(math.nan if state else value, state)
         return self._dialect.answer(request, self._settings.output, shown) or b""
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         if what not in self._faults:
             super().fail(what, value)
         self._faults[what] = bool(value)
 
+    @override
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd. Requests before the loss of the supply are not answered."""
         super().power(on, now_s)
         self._asked.clear()
         self._measured.clear()
@@ -112,8 +113,8 @@ class PlayedPolledLaser(PlayedDevice):
         super().__init__(sends=False)
         self._settings, self._dialect = settings, wire.DIALECTS[settings.dialect]
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         if self._sends:  # the values follow from the log
             is_probe = data == self._dialect.probe(self._settings.output)
             return self._dialect.probe_answer(self._settings.output) if is_probe else b""

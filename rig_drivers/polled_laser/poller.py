@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from daq.drivers.polling import LATEST_S, Request, RequestLoop
 from daq.transports.host_clock import HostClock
 from rig_drivers.polled_laser import wire
@@ -92,15 +94,15 @@ class SensorPoller(RequestLoop):
         self._turns = Turns(wire.DIALECTS[settings.dialect], settings.output)
         super().__init__(Request(self._turns.request, b"", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
 
+    @override
     def start(self) -> None:
-        """See Poller."""
         self.stop()
         with self._lock:
             self._turns.begin()
         super().start()
 
+    @override
     def heard(self, data: bytes) -> None:
-        """See Poller."""
         with self._lock:
             may_go_on = self._turns.heard(data)
         if may_go_on:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from daq import channels
 from daq.drivers.contract import Pipeline
@@ -65,8 +66,8 @@ class PolledPipeline(Pipeline):
         self._agreed = 0  # right block checks in a row
         self._begun = False  # whether there was a request, or an answer to one from before the log's begin
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return self._asked(data, host_ns)
         out: Items = []

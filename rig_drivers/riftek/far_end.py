@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
@@ -222,15 +223,15 @@ class PlayedRiftek(PlayedDevice):
         self._sensor = SimulatedRiftek.unmoved(reported, serial)
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return self._sensor.streaming
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         self._sensor.streaming = True
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         self.commands += sum(byte < 0x80 for byte in data)
         return self._sensor.receive(data)

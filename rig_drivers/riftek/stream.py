@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap
@@ -131,12 +132,12 @@ class RiftekPipeline(Pipeline):
         self._rate = ResultRate(self._period_ns)
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline."""
         return PipelineStatus(set_up_lost=self._rate.sign, clock_std_ns=self._clock.std_ns)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             self._decoder.expect(wire.awaited(data))
             self._rate.sent(data)

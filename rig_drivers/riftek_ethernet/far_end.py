@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.simulated import FaultKind
 from daq.virtual_rig.beam import Beam
@@ -60,13 +61,13 @@ class SimulatedRiftekEthernet(FreeSensor):
             mixed ^= byte
         return data + bytes(({"sum": sum(data) & 0xFF, "xor": mixed, "none": 0}[self._settings.checksum],))
 
+    @override
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`."""
         if what == "repeats":
             self._repeats = bool(value)
         else:
             super().fail(what, value)
 
+    @override
     def begin(self) -> None:
-        """See FreeSensor."""
         self._number, self._pending = 0, []

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
@@ -67,8 +68,8 @@ class RiftekEthernetPipeline(Pipeline):
             self._serial is not None, self._complaint, learned=learned, clock_std_ns=self._clock.std_ns
         )
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             return []
         out: Items = []

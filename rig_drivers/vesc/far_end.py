@@ -208,8 +208,8 @@ class PlayedVesc(PlayedDevice):
         self._decoder = packets.PacketDecoder()
         self._firmware = firmware_of(identity)
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         answers = b""
         for payload in self._decoder.feed(data).payloads:
             self.commands += 1

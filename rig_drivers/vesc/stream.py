@@ -129,8 +129,8 @@ class VescPipeline(MotorPipeline):
         self._following = Following(device, max_reports)
         self._slowing = SlowingDown(device, max_reports)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         self.answers = []
         if direction == TX:
             for payload in self._line.sent(data):

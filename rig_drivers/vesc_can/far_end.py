@@ -9,6 +9,8 @@ import binascii
 from collections.abc import Container, Iterable, Mapping
 from typing import Any, ClassVar
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import Adapter, PlayedOnBus
 from daq.drivers.simulated import FaultKind
 from daq.drivers.simulated_motor import Periodic
@@ -36,8 +38,8 @@ class SimulatedVescCan(SimulatedVesc):
         self._statuses = Periodic()
         super().__init__(settings, motion, **far)
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         self._passed_s(now_s)
         frames, out = self._adapter.receive(data), b""
         for frame in frames:
@@ -101,8 +103,8 @@ class PlayedVescCan(PlayedOnBus):
         super().__init__(_CommandsTo(settings.controller_id))
         self._settings, self._firmware = settings, vesc.pack_firmware(firmware_of(identity))
 
+    @override
     def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
-        """See PlayedOnBus."""
         command, number = wire.split(frame.arbitration_id)
         if number != self._settings.controller_id:
             return ()

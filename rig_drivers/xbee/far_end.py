@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink import wire as rotorlink
@@ -180,8 +181,8 @@ class PlayedXBee(PlayedDevice):
         self._line = framing.ApiDecoder(escaped=self._escaped)
         self._registers = {"AP": bytes((settings.api_mode,)), **_registers(identity)}
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         answers = b""
         for found in self._line.feed(data):
             if not isinstance(found, bytes) or not found:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from daq.drivers.rotorlink.locks import NodeLocks
 from daq.errors import DeviceError
 from daq.items import DeviceEvent
@@ -35,8 +37,8 @@ class XBeeLocks(NodeLocks):
         self._sent_ids: set[int] = set()
         self._failed, self._failures = "", 0
 
+    @override
     def command(self, action: str, check: Callable[[], None]) -> None:
-        """See LockControl."""
         self._sent_ids.clear()
         self._failed, self._failures = "", 0
         super().command(action, check)
@@ -62,8 +64,8 @@ class XBeeLocks(NodeLocks):
                 "events show it"
             )
 
+    @override
     def _advice(self) -> str:
-        """See NodeLocks."""
         if self._failures or self._legacy:
             return super()._advice()
         return (

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from typing_extensions import override
+
 from daq.drivers.contract import PipelineStatus
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
@@ -47,15 +49,15 @@ class XBeePipeline(NodePipeline):
         self._unheard = ""  # why no sample has been decoded yet
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline. The complaint may state why no sample has been decoded yet."""
         found = super().status
         decoded = self._next_index if self._records_angles else self._heard_frames
         complaint = found.complaint or (self._unheard if decoded is None else "")
         return replace(found, complaint=complaint, set_up_lost=self._set_up_lost)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         if direction == TX:
             return []
         if not data:

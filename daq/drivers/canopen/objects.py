@@ -7,6 +7,8 @@ import queue
 import struct
 from collections.abc import Callable
 
+from typing_extensions import override
+
 from daq.drivers.canopen import cia301
 from daq.drivers.contract import Talk
 from daq.drivers.questions import TRIES
@@ -151,8 +153,8 @@ class DialogueObjects(NodeObjects):
         super().__init__(name, node_id, talk.send, talk.clock)
         self._talk = talk
 
+    @override
     def _answer(self, wall_seconds: float) -> bytes:
-        """See NodeObjects."""
         deadline = self._clock.wall_s() + wall_seconds
         while self._answers.empty():
             text = self._talk.replies.get(timeout=max(0.0, deadline - self._clock.wall_s()))

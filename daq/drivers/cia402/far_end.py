@@ -188,8 +188,8 @@ class SimulatedDrive(SimulatedMotor):
         reached = abs(rpm - self._target_rpm) < 1 + 0.01 * abs(self._target_rpm)
         return word | TARGET_REACHED * reached | SPEED_ZERO * (abs(rpm) < 1)
 
+    @override
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """See FarEnd."""
         frames = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             self._frame(frame, now_s)
@@ -322,17 +322,17 @@ class PlayedDrive(PlayedOnBus):
         self._node = Node(config.node_id, objects, measured, self._written)
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return super().sending and self._node.operational
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         super().begin()
         self._node.state = cia301.Heartbeat.OPERATIONAL
 
+    @override
     def is_host(self, frame: CanFrame) -> bool:
-        """See PlayedOnBus."""
         return frame.arbitration_id == self._host_beat
 
     def _pass(self, data: bytes) -> bytes:
@@ -341,8 +341,8 @@ class PlayedDrive(PlayedOnBus):
                 self._reported = frame.data[: self._profile.size]
         return super()._pass(data)
 
+    @override
     def answers(self, frame: CanFrame) -> Iterable[CanFrame]:
-        """See PlayedOnBus."""
         data = frame.data
         yield from self._node.answers(frame)
         if frame.arbitration_id == cia301.cob_rpdo(1, self._node.number) and len(data) == self._profile.size:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from daq.drivers.can_lines import CanLines, FirstContact
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
@@ -45,12 +47,12 @@ class DrivePipeline(MotorPipeline):
         self._contact = FirstContact()
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline."""
         return PipelineStatus(complaint=self._complaint)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         if direction == TX:
             self._contact.sent(data)
             frames = cia301.own_frames(self._lines.sent(data))

@@ -11,13 +11,14 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.channels import RX
 from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS
-from daq.drivers.played import PlayedDevice
+from daq.drivers.played import BytesFromDevice, PlayedDevice
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.errors import LogError
 from daq.virtual_rig.beam import Beam
@@ -137,7 +138,7 @@ _UNKNOWN = "unknown"
 _WORD = re.compile(r"[A-Z0-9_]{1,40}")
 
 
-class WholeBlocks:
+class WholeBlocks(BytesFromDevice):
     """A sensor's stream in complete blocks, so that an answer is never inserted into a block.
 
     Bytes after the last complete block are held until the block is complete. Bytes longer than a block are passed on.
@@ -150,8 +151,8 @@ class WholeBlocks:
         self._words = words
         self._tail = b""
 
+    @override
     def feed(self, direction: int, data: bytes) -> bytes:
-        """See BytesFromDevice."""
         if direction != RX:
             return b""
         line = self._tail + data
@@ -171,8 +172,8 @@ class WholeBlocks:
         ended = begun + self._words - 1
         return int(high[ended]) + 1 if ended < len(high) else max(0, int(high[begun]) - 2)
 
+    @override
     def rest(self) -> bytes:
-        """See BytesFromDevice."""
         tail, self._tail = self._tail, b""
         return tail
 
@@ -201,16 +202,16 @@ class PlayedLaser(PlayedDevice):
         )
 
     @property
+    @override
     def sending(self) -> bool:
-        """See PlayedDevice."""
         return self._sensor.streaming
 
+    @override
     def begin(self) -> None:
-        """See PlayedDevice."""
         self._sensor.streaming = True
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         answers = self._sensor.receive(data)
         self.commands += answers.count(sensor_answers.PROMPT.encode())
         return answers

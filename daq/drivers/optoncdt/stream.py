@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, steps_from
@@ -99,8 +100,8 @@ class LaserPipeline(Pipeline):
         self._place = None
         self._spikes = SpikeWatch(self._scaling.most)
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
-        """See Pipeline."""
         if direction == TX:
             self._set_up.sent(data)
             return []

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
@@ -258,8 +259,8 @@ class SimulatedNode(FarEnd):
     def _counts_exact(self) -> NDArray[np.floating]:
         return (self._motion.angles_rad + self._zero) * self._config.counts_per_revolution / (2 * math.pi)
 
+    @override
     def sample(self, motion: MotionInterval) -> bytes:
-        """See FarEnd."""
         self.put_on_air(motion)
         return self.dongle(float(motion.time_s[-1]))
 

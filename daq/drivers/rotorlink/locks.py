@@ -6,6 +6,8 @@ import queue
 from collections.abc import Callable
 from contextlib import suppress
 
+from typing_extensions import override
+
 from daq.drivers.contract import LockControl
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
@@ -34,8 +36,8 @@ class NodeLocks(LockControl):
         # The node stores the seq of past commands, also those of an earlier session, and acts once on each.
         self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
+    @override
     def heard(self, event: DeviceEvent) -> None:
-        """See LockControl."""
         if "node" in event.facts:
             self._node = event.facts["node"]
             return
@@ -59,8 +61,8 @@ class NodeLocks(LockControl):
             self._unanswered(action)
         raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. {self._advice()}")
 
+    @override
     def measure_round_trip(self) -> float | None:
-        """See LockControl."""
         sent_ns: dict[int, int] = {}
         found_ns: list[int] = []
         for _ in range(_PINGS):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from typing_extensions import override
+
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
@@ -22,8 +24,8 @@ class PlayedNode(PlayedDevice):
         super().__init__()
         self._frames = FrameDecoder()
 
+    @override
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice."""
         commands = sum(isinstance(frame, rotorlink.NodeCommand) for frame in self._frames.feed(data).frames)
         self.commands += commands
         self.unfollowed += commands

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed
@@ -66,8 +67,8 @@ class NodePipeline(Pipeline):
         self._begin()
 
     @property
+    @override
     def status(self) -> PipelineStatus:
-        """See Pipeline."""
         return PipelineStatus(
             self.node_status is not None,
             self._choice.complaint or self._contradiction,
@@ -90,8 +91,8 @@ class NodePipeline(Pipeline):
         self._own = NodeClock()
         self._held: list[tuple[rotorlink.IndexMark, int]] = []  # marks that wait for the next block, their host times
 
+    @override
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        """See Pipeline."""
         if direction == TX:
             return []
         if not data:
