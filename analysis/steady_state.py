@@ -27,7 +27,7 @@ _STOOD_S = 2.5  # without a mark before a release: the rotor is below 24 rpm; a 
 LOCK_TOLERANCE_RAD = math.radians(2.0)
 _MIN_AFTER_RELEASE_S = 9.0  # settling needs nine windows of at least one second
 # The bound on the remaining approach is noisy, and a test ends when the bound is low. A bound of a moment ago holds for
-# all that follows, unless the means have moved by more than it allows: then something else has moved them.
+# all that follows, unless the means have moved by more than a tolerance: then something else has moved them.
 _RECENT_S = (0.5, 1.0, 1.5, 2.0, 2.5)
 _LIMITS = SettlingLimits(average_s=AVERAGE_S)
 _MIN_SPEED_TOLERANCE = 5e-4  # relative to the plateau's speed; a larger deviation belongs to the stop
@@ -281,8 +281,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
     found = judged(end)
     if found.span_s == 0.0:
         raise NotEnoughData(found.why)
-    rests = found.approaching and found.drift_rad <= _LIMITS.angle_tolerance_rad
-    if rests and any(judged(end - since).settled for since in _RECENT_S):
+    if found.rests and any(judged(end - since).settled for since in _RECENT_S):
         found = replace(found, settled=True, why=f"steady a moment ago; {found.why}", more_s=0.0)
     return found
 

@@ -50,6 +50,7 @@ class Settling:
         span_s: time covered by the windows, s.
         more_s: estimated time until everything has settled, s; inf if no end can be predicted.
         approaching: True if a bounded remaining change is the only reason against.
+        rests: True if in addition the means have changed by less than the tolerances over the last window.
     """
 
     settled: bool
@@ -64,6 +65,7 @@ class Settling:
     mean_off_m: float = math.nan
     more_s: float = math.inf
     approaching: bool = False
+    rests: bool = False
 
 
 @dataclass(frozen=True)
@@ -190,11 +192,13 @@ class _Judged:
         drift: change over the last window, of the quantity with the larger change.
         approach: the larger bound of both quantities.
         more_s: time until the remaining change is below its limit, s.
+        rests: whether that change is below the limit.
         why: reason against, in one sentence; may be empty.
     """
 
     drift: float
     approach: Approach
+    rests: bool = True
     more_s: float = 0.0
     why: str = ""
 
@@ -227,14 +231,17 @@ def _judged(
     worst = replace(worst, mean_off=max(each.mean_off for each in both))
     drift = float(np.abs(seen.means[-1] - seen.means[-2]).max())
     factor, unit = shown
+    rests = drift <= limit
     if worst.remaining <= limit:
-        return _Judged(drift, worst)
+        return _Judged(drift, worst, rests)
     if math.isinf(worst.remaining):
         why = f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
-        return _Judged(drift, worst, math.inf, why)
+        return _Judged(drift, worst, rests, math.inf, why)
     more_s = math.log(worst.remaining / limit) / worst.rate_per_s if worst.rate_per_s > 0 else math.inf
     why = f"{what} may still change by {worst.remaining * factor:.2g}{unit}, the limit is {limit * factor:.2g}{unit}"
-    return _Judged(drift, worst, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else ""))
+    return _Judged(
+        drift, worst, rests, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else "")
+    )
 
 
 def _judged_amplitudes(orbit: WindowMeans, tolerance_m: float, average_s: float) -> _Judged:
@@ -260,6 +267,7 @@ def _decision(
     why = next(filter(None, [*others, angles.why, whirling.why]), "")
     bounded = math.isfinite(angles.approach.remaining) and math.isfinite(whirling.approach.remaining)
     lasting = math.inf if slipping else max(angles.more_s, whirling.more_s)
+    approaching = bounded and bool(why) and not any(others)
     return Settling(
         settled=not why,
         slipping=slipping,
@@ -272,7 +280,8 @@ def _decision(
         mean_off_rad=angles.approach.mean_off,
         mean_off_m=whirling.approach.mean_off,
         more_s=lasting if why else 0.0,
-        approaching=bounded and bool(why) and not any(others),
+        approaching=approaching,
+        rests=approaching and angles.rests and whirling.rests,
     )
 
 

@@ -413,3 +413,21 @@ def test_a_locked_orbit_is_judged_without_angles() -> None:
     signals = RotorSignals(*clean(lambda t: 0 * t))
     silent = dataclasses.replace(signals, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     assert locked_settled(silent) == locked_settled(signals)
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "left_m", "rate", "rests"),
+    [(0.3, 0.0, 0.15, True), (0.3, 0.0, 0.3, False), (0.0, 3e-6, 0.15, True), (0.0, 8e-6, 0.3, False)],
+)
+def test_means_that_change_by_less_than_the_tolerances_in_the_last_window_rest(
+    left_deg: float, left_m: float, rate: float, rests: bool
+) -> None:
+    """More than a tolerance is still to come in all of them."""
+    found = judged(
+        clean(
+            lambda t: 1.0 + DEGREE * left_deg * np.exp(-rate * (t - 30.0)),
+            amplitude=lambda t: 1e-3 + left_m * np.exp(-rate * (t - 30.0)),
+        )
+    )
+    assert found.approaching
+    assert found.rests is rests
