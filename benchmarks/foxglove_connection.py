@@ -55,7 +55,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     count = context.Value("q", 0, lock=False)
     memory: list[float] = []
     with ExitStack() as stack:
-        far = stack.enter_context(VirtualRigProcess(args.rig, [], 1.0))
+        far = stack.enter_context(VirtualRigProcess(args.rig, []))
         rig = load_rig(args.rig, settings=far.port_settings())
         connection = None if name == "no connection" else stack.enter_context(FoxgloveConnection(rig, 0, (), print))
         session = stack.enter_context(Session(rig, far.clock))

@@ -38,7 +38,7 @@ def main() -> int:
     dice = random.Random(arguments.seed)
     rows: list[float] = []
     faults: list[str] = []
-    with tempfile.TemporaryDirectory() as folder, VirtualRigProcess("virtual", _SETTINGS, 1.0) as rig:
+    with tempfile.TemporaryDirectory() as folder, VirtualRigProcess("virtual", _SETTINGS) as rig:
         for number in range(arguments.kills):
             part, *when_ns = _record_and_kill(rig, Path(folder) / f"{number}.mcap", dice.uniform(0.02, 3.0))
             missing_ms, trouble = _judge(part, *when_ns)

@@ -132,7 +132,7 @@ def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callabl
 def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     rig_name, seconds = args.rig, args.seconds
     with ExitStack() as stack:
-        far = stack.enter_context(VirtualRigProcess(rig_name, [], 1.0))
+        far = stack.enter_context(VirtualRigProcess(rig_name, []))
         rig = load_rig(rig_name, settings=far.port_settings())
         page = None if name == "no page" else stack.enter_context(LivePage(rig, None, "rig file", rig.name))
         session = stack.enter_context(Session(rig, far.clock))

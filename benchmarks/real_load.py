@@ -45,7 +45,7 @@ def main() -> int:
 def measure(seconds: float, folder: Path) -> dict[str, object]:
     """One recording."""
     path = folder / "load.mcap"
-    with VirtualRigProcess("virtual", _LOAD, 1.0) as rig:
+    with VirtualRigProcess("virtual", _LOAD) as rig:
         command = [
             sys.executable,
             "-m",

@@ -225,7 +225,7 @@ def _case(case: str, rig_name: str, presses: int, browser: bool) -> bool:
     stops_ns: list[int] = []
     context = multiprocessing.get_context("spawn")
     with ExitStack() as stack:
-        far = stack.enter_context(VirtualRigProcess(rig_name, [], 1.0))
+        far = stack.enter_context(VirtualRigProcess(rig_name, []))
         rig = load_rig(rig_name, settings=far.port_settings())
         page = stack.enter_context(LivePage(rig, None, "rig file", rig.name))
         session = stack.enter_context(Session(rig, far.clock))
