@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -51,9 +52,9 @@ class RepeatedSettings(MotorSettings):
     command_ms: Annotated[int, Field(ge=5, le=200)] = 20
     follow_s: Positive = 3.0
 
+    @abstractmethod
     def own_timeout(self) -> tuple[str, float]:
         """Return the timeout after which the controller stops driving the rotor: name of the setting, and s."""
-        raise NotImplementedError
 
     @model_validator(mode="after")
     def _commands_before_timeout(self) -> RepeatedSettings:
