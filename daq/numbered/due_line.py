@@ -59,12 +59,18 @@ class DueLine:
         """Time between two messages, relative to the stated one."""
         return 1.0 + self._slope
 
-    def take(self, sent_ns: float, host_ns: int) -> None:
-        """Take a message that has its place; `sent_ns` is its time by the sender's count, ns."""
+    def take(self, sent_ns: float, host_ns: int, messages: int = 1) -> None:
+        """Take the newest of consecutive messages that have their places.
+
+        Args:
+            sent_ns: its time by the sender's count, ns.
+            host_ns: host time of its read, ns.
+            messages: their number.
+        """
         if self._begin_ns is None:
             self._begin_ns = host_ns, sent_ns
         self.heard_ns = host_ns
-        self._messages += 1
+        self._messages += messages
         since_ns, delay_ns = self._relative(sent_ns, host_ns)
         interval = (host_ns - self._begin_ns[0]) // _INTERVAL_NS
         if not self._least or self._least[-1][0] != interval:

@@ -15,6 +15,7 @@ is in time. After a loss or a new start they come at their usual pace, and remai
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -137,21 +138,36 @@ class NumberedStream(Generic[R]):
         numbers, times, rows, host_ns = read.numbers, read.times, read.rows, read.host_ns
         if not self._due.begun:
             self._begin(int(numbers[0]), int(times[0]))
-        if not self._waiting:
-            before = np.concatenate([[self._place], numbers[:-1]]), np.concatenate([[self._time], times[:-1]])
-            steps, cycles_ns = self._steps(*before, numbers, times)
-            places = self._place + np.cumsum(steps).astype(np.int64)
-            late_ns = self._late_ns(int(places[-1]), host_ns)
-            is_next = bool(np.all(np.abs(steps - self._count.step) < 0.5 * self._count.step))
-            if is_next and self._cycles(late_ns, float(np.min(cycles_ns)), host_ns) < 1:
-                self._time = int(times[-1])
-                return [self._placed(places, rows, host_ns)]
+        before = np.concatenate([[self._place], numbers[:-1]]), np.concatenate([[self._time], times[:-1]])
+        steps, cycles_ns = self._steps(*before, numbers, times)
+        is_next = np.abs(steps - self._count.step) < 0.5 * self._count.step
+        ends = np.append(np.flatnonzero(~is_next), len(numbers)).tolist()  # of runs of next ones
         out: list[Stretch[R]] = []
-        for i, (number, time) in enumerate(zip(numbers.tolist(), times.tolist(), strict=True)):
+        i = 0
+        while i < len(numbers):
+            end = ends[bisect_left(ends, i)]
+            goes_on = i == 0 or self._is_newest(int(numbers[i - 1]), int(times[i - 1]))
+            if end > i and goes_on and not self._waiting:
+                places = self._place + np.cumsum(steps[i:end]).astype(np.int64)
+                at_ns = self._arrived_ns(read, end - 1)
+                late_ns = self._late_ns(int(places[-1]), at_ns)
+                if self._cycles(late_ns, float(np.min(cycles_ns[i:end])), at_ns) < 1:
+                    self._time = int(times[end - 1])
+                    out.append(self._placed(places, rows[i:end], host_ns))
+                    i = end
+                    continue
             self._ends_read = i == len(numbers) - 1
-            at_ns = host_ns - round((len(numbers) - 1 - i) * self._count.period_ns * self._due.pace)
-            out += self._take((number, time, at_ns, host_ns, rows[i : i + 1]))
-        return self._merged(out)
+            out += self._take((int(numbers[i]), int(times[i]), self._arrived_ns(read, i), host_ns, rows[i : i + 1]))
+            i += 1
+        return out if len(out) == 1 else self._merged(out)
+
+    def _arrived_ns(self, read: Run[R], i: int) -> int:
+        """Return the time at which a message of a read arrived, estimated from the number of those after it, ns."""
+        return read.host_ns - round((len(read.numbers) - 1 - i) * self._count.period_ns * self._due.pace)
+
+    def _is_newest(self, number: int, time: int) -> bool:
+        """Whether number and time are those of the newest message with a place."""
+        return (self._place - number) % self._count.size == 0 and self._time == time
 
     def _begin(self, number: int, time: int) -> None:
         """Let the next message have no other before it."""
@@ -392,7 +408,7 @@ class NumberedStream(Generic[R]):
 
     def _placed(self, places: NDArray[np.int64], rows: R, host_ns: int) -> Stretch[R]:
         self._place, self._stands_still = int(places[-1]), False
-        self._due.take(self._place * self._number_ns, host_ns)
+        self._due.take(self._place * self._number_ns, host_ns, len(places))
         return Stretch(places, rows, host_ns)
 
     def _merged(self, parts: Sequence[Stretch[R]]) -> list[Stretch[R]]:
