@@ -178,7 +178,7 @@ def run(
 def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     result = Result(schedule)
     path = folder / f"schedule-{schedule.seed}.mcap"
-    begun_s = stage.clock.wall_s()
+    begun_s = stage.clock.now_s()
     session = Session(rig, stage.clock, edge=stage.edge)
     over = threading.Event()  # faults after the end of the session are not observed by any host
     try:
@@ -194,7 +194,7 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
         result.wrong.append(f"ended with {type(error).__name__}: {error}")
         result.ended = str(error)
     over.set()
-    result.rig_s = stage.clock.wall_s() - begun_s
+    result.rig_s = stage.clock.now_s() - begun_s
     truth = stage.end()
     if path.exists():
         result.digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -222,12 +222,12 @@ def _begin(stage: Stage, fault: ScheduledFault, over: threading.Event) -> None:
 
 def _operate(session: Session, schedule: Schedule) -> None:
     """Turn the rotor, if the schedule has a speed, and wait for its end."""
-    end = session.clock.wall_s() + schedule.seconds
+    end = session.clock.now_s() + schedule.seconds
     if schedule.rpm:
         session.drive.enable()
         session.drive.set_ramp(300.0)
         session.drive.set_speed(schedule.rpm)
-    while session.clock.wall_s() < end:
+    while session.clock.now_s() < end:
         session.check()
         session.clock.wait(0.05)
 

@@ -214,7 +214,7 @@ class Links:
 
     def heard_s(self) -> float:
         """Return the time of the last byte of any device, s."""
-        return max((reader.heard_s for reader in self._readers.values()), default=self._clock.wall_s())
+        return max((reader.heard_s for reader in self._readers.values()), default=self._clock.now_s())
 
     def _restart_decoding(self, name: str) -> None:
         """Give a device that is started a new pipeline, after its buffered bytes, which answered an earlier program.
@@ -238,7 +238,7 @@ class Links:
             command: rotor command of the session.
         """
         core = self._core
-        if self._attending or self._clock.wall_s() < self._retry_at_s:
+        if self._attending or self._clock.now_s() < self._retry_at_s:
             return
         unwell = core.mute | set(core.altered) if core.policy.commands and core.life.guarding else set[str]()
         if not (core.gone or unwell) or (core.policy.commands and command.turning()):
@@ -252,7 +252,7 @@ class Links:
                     yield from core.restored(name, self._clock.now_ns())
         finally:
             self._attending = False
-            self._retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
+            self._retry_at_s = self._clock.now_s() + _RETRY_PERIOD_S
 
     def reopened(self, name: str, command: RotorCommand) -> Iterator[Effect]:
         """Open a lost device on the ports where it may have returned. A device with another identity is refused.

@@ -42,11 +42,11 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
     events: list[DeviceEvent] = []
     session.device_event_observers.append(events.append)
     before, started = session.recording.losses(), session.clock.now_ns()
-    begun_s = session.clock.wall_s()
+    begun_s = session.clock.now_s()
     if not session.rig.devices.keys() - session.devices.unopened.keys():
         seconds = min(seconds, _STEP_S)  # nothing can arrive
     stds: dict[str, list[float]] = {}
-    while (passed := session.clock.wall_s() - begun_s) < seconds:
+    while (passed := session.clock.now_s() - begun_s) < seconds:
         progress(passed / seconds)
         session.clock.wait(min(_STEP_S, seconds - passed))
         for name, std_ns in session.devices.clock_stds_ns().items():

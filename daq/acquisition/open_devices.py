@@ -57,7 +57,7 @@ class OpenDevices:
     @property
     def silent_s(self) -> float:
         """Time since any device sent bytes, s."""
-        return self._clock.wall_s() - self._links.heard_s()
+        return self._clock.now_s() - self._links.heard_s()
 
     def without_samples(self) -> list[str]:
         """Return the devices that have not sent a sample of each channel."""

@@ -38,10 +38,10 @@ class Read:
     """Wait for bytes; bytes that have arrived before count.
 
     Attributes:
-        wall_s: timeout, s.
+        seconds: timeout, s.
     """
 
-    wall_s: float
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -89,20 +89,20 @@ class _Sparse:
     def __init__(self) -> None:
         self._is_sparse, self._quick, self._last_s = False, 0, -math.inf
 
-    def arrived(self, is_isolated: bool, has_bytes: bool, wall_s: float) -> bool:
+    def arrived(self, is_isolated: bool, has_bytes: bool, now_s: float) -> bool:
         """Register a turn and return whether the device is sparse.
 
         Args:
             is_isolated: whether no bytes followed the bytes that arrived during the rest.
             has_bytes: whether bytes have arrived.
-            wall_s: time of the turn, s; it never steps.
+            now_s: time of the turn, s; it never steps.
         """
         if is_isolated:
             self._is_sparse, self._quick = True, 0
         elif self._is_sparse and has_bytes:
-            self._quick = self._quick + 1 if wall_s - self._last_s < _NEXT_S else 0
+            self._quick = self._quick + 1 if now_s - self._last_s < _NEXT_S else 0
             self._is_sparse = self._quick < _MAX_QUICK
-        self._last_s = wall_s
+        self._last_s = now_s
         return self._is_sparse
 
 
@@ -140,7 +140,7 @@ class DeviceReader:
         self.lock: threading.Lock = threading.Lock()
         self.replies: queue.Queue[str] = clock.queue()
         self.bytes_in: int = 0
-        self.heard_s: float = clock.wall_s()
+        self.heard_s: float = clock.now_s()
         self.clock: HostClock = clock
         self.restart_decoding: Callable[[], None] = restart_decoding
         self._writing, self._stamping = threading.Lock(), threading.Lock()
@@ -174,7 +174,7 @@ class DeviceReader:
                 the host time of the last arrival, ns.
             fail: called once, with the error of a lost link or an exception of `take`.
         """
-        self.heard_s = self.clock.wall_s()
+        self.heard_s = self.clock.now_s()
         turns = self.turns(take)
 
         def failed(error: Exception) -> None:
@@ -208,7 +208,7 @@ class DeviceReader:
                 wanted = turns.send(b"")
                 continue
             try:
-                data = self.link.read(wanted.wall_s)
+                data = self.link.read(wanted.seconds)
             except LinkLost as error:
                 turns.throw(error)
                 raise
@@ -232,7 +232,7 @@ class DeviceReader:
             if rested or data or self._sent:
                 self._arrived(rested + data, take)
                 is_isolated, rested = bool(rested) and not data, b""  # cleared here: the bytes must not be taken twice
-                if not sparse.arrived(is_isolated, bool(data), self.clock.wall_s()):
+                if not sparse.arrived(is_isolated, bool(data), self.clock.now_s()):
                     yield Rest(max(self._rest_s, _CALM_REST_S) if self._calm() else self._rest_s)
                     rested = yield Read(0.0)
 
@@ -241,7 +241,7 @@ class DeviceReader:
         with self.lock:
             if data:
                 self.bytes_in += len(data)
-                self.heard_s = self.clock.wall_s()
+                self.heard_s = self.clock.now_s()
             if not self._sent:  # the usual case
                 take((), data, host_ns)
                 return

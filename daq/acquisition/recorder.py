@@ -147,10 +147,10 @@ class Recorder:
         self._backlog: list[Recorded] = []
         self._backlog_bytes = 0
         self._unsynced = threading.Event()
-        self._flushed_at = self._synced_to = clock.wall_s()
+        self._flushed_at = self._synced_to = clock.now_s()
         self._flushes = 0
         self._slow_s = 0.0
-        self._started_s = clock.wall_s()
+        self._started_s = clock.now_s()
         self._written_first = self._size()
         if self.state().free_bytes < 2 * _SPARE_BYTES:
             self._log.close()
@@ -191,10 +191,10 @@ class Recorder:
         behind = self._flushed_at > self._synced_to
         written = self._size()
         free = self._disk.free_bytes(self.part.parent)
-        rate = (written - self._written_first) / max(1e-3, self._clock.wall_s() - self._started_s)
+        rate = (written - self._written_first) / max(1e-3, self._clock.now_s() - self._started_s)
         return DiskState(
             self._backlog_bytes,
-            self._clock.wall_s() - self._synced_to if behind else 0.0,
+            self._clock.now_s() - self._synced_to if behind else 0.0,
             self._slow_s,
             written,
             free,
@@ -245,7 +245,7 @@ class Recorder:
             except Exception as error:  # every error must be reported, and the backlog must still be emptied
                 self._fail(error)
             self._flushes += 1
-            self._flushed_at = self._clock.wall_s()
+            self._flushed_at = self._clock.now_s()
             self._unsynced.set()
         with self._lock:
             self._backlog_bytes -= size
@@ -275,13 +275,13 @@ class Recorder:
         if not self._unsynced.is_set() or self._failure is not None:
             return
         self._unsynced.clear()
-        begun, last = self._clock.wall_s(), self._synced_to
+        begun, last = self._clock.now_s(), self._synced_to
         try:
             self._disk.sync(self._log)
         except OSError as error:
             self._fail(error)
         self._synced_to = begun
-        self._slow_s += max(0.0, self._clock.wall_s() - last - _SLOW_SYNC_S)
+        self._slow_s += max(0.0, self._clock.now_s() - last - _SLOW_SYNC_S)
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error

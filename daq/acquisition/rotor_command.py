@@ -93,21 +93,21 @@ class RotorCommand:
         state = "the state of the rotor is unknown" if self.at_rest() is None else "the rotor still turns"
         return f"{state}{after} ({self._core.interlocks.rotor_words(self._clock.now_ns())})"
 
-    def wait_for_rest(self, wall_s: float) -> None:
+    def wait_for_rest(self, seconds: float) -> None:
         """Wait until the rotor is at rest.
 
         Args:
-            wall_s: timeout, s.
+            seconds: timeout, s.
 
         Raises:
             DeviceError: at the timeout the rotor turns, or its state is unknown.
         """
-        deadline = self._clock.wall_s() + wall_s
+        deadline = self._clock.now_s() + seconds
         while not self.at_rest():
             self._check()
-            if self._clock.wall_s() > deadline:
+            if self._clock.now_s() > deadline:
                 advice = self._core.host.words(self._clock.now_ns()) or "Look at drive and rotor"
-                raise DeviceError(f"{self.words(f' after {wall_s:g} s')}. {advice}")
+                raise DeviceError(f"{self.words(f' after {seconds:g} s')}. {advice}")
             self._clock.wait(0.003)
 
     @property
@@ -181,14 +181,14 @@ class RotorCommand:
             return self.drive.stop(notify)
         except (LinkLost, DeviceError) as error:  # the drive's watchdog stops the rotor; the index marks show when
             _log.info("%s: the drive did not confirm its stop, its watchdog stops it: %s", self.drive_name, error)
-            end = self._clock.wall_s() + _MAX_WATCHDOG_STOP_S
+            end = self._clock.now_s() + _MAX_WATCHDOG_STOP_S
             retry_at_s = 0.0
-            while opened and not self.at_rest() and self._clock.wall_s() < end:  # also if nothing else measures it
-                if self._clock.wall_s() >= retry_at_s:  # the watchdog may have failed
+            while opened and not self.at_rest() and self._clock.now_s() < end:  # also if nothing else measures it
+                if self._clock.now_s() >= retry_at_s:  # the watchdog may have failed
                     with ignoring(_log, "stopping the drive again", LinkLost, DeviceError):
                         if reach():
                             self.drive.quick_stop()
                             return self.drive.stop(notify)
-                    retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
+                    retry_at_s = self._clock.now_s() + _RETRY_PERIOD_S
                 self._clock.wait(0.02)
             return False

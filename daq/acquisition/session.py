@@ -386,30 +386,30 @@ class Session:
             reason, self._stop_reason = self._stop_reason, None
             self.stop(reason)
         if core.trouble is None and self.rotor.dropped_out and self.life.guarding:
-            end = self.clock.wall_s() + 2.0  # the core stops the rotor and waits for the drive's reason
-            while core.trouble is None and self.clock.wall_s() < end:
+            end = self.clock.now_s() + 2.0  # the core stops the rotor and waits for the drive's reason
+            while core.trouble is None and self.clock.now_s() < end:
                 self.clock.wait(0.01)
         if core.trouble is not None:
             raise core.trouble
         if self.life.guarding:
             self._execute(self._links.attend(self.rotor))
 
-    def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
+    def wait_for(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait until a condition is true.
 
         Args:
             condition: is evaluated every 3 ms.
-            wall_s: timeout, s, without the time for which the host was stalled.
+            seconds: timeout, s, without the time for which the host was stalled.
             what: description of the condition for the message.
 
         Raises:
             DeviceError: timeout.
         """
-        deadline = self.clock.wall_s() + wall_s
+        deadline = self.clock.now_s() + seconds
         while not condition():
             self.check()
-            if self.clock.wall_s() > deadline:
-                raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
+            if self.clock.now_s() > deadline:
+                raise DeviceError(f"waited {seconds:g} s for {what}: timeout")
             deadline += self._stalled_s()
 
     def _stalled_s(self) -> float:
@@ -417,9 +417,9 @@ class Session:
 
         The devices' bytes waited as well, so that their time-outs would blame the devices.
         """
-        before_s = self.clock.wall_s()
+        before_s = self.clock.now_s()
         self.clock.wait(0.003)
-        return max(0.0, self.clock.wall_s() - before_s - _MAX_BUSY_S)
+        return max(0.0, self.clock.now_s() - before_s - _MAX_BUSY_S)
 
     def stop(self, reason: str) -> None:
         """End the run for the operator. The drive gets the stop immediately, in the caller's thread."""

@@ -164,9 +164,9 @@ def tap_test(session: Session, prompt: Callable[[str], None]) -> dict[str, Check
         _wait_for_rest(session)
         prompt(f"tap the disk once, by hand, along +{sensor.axis}")
         begun_ns = session.clock.now_ns() - int(_BEFORE_S * 1e9)
-        end_s = session.clock.wall_s() + _PATIENCE_S
+        end_s = session.clock.now_s() + _PATIENCE_S
         while (tap := first_extreme(_newest(session, begun_ns))) is None:
-            if session.clock.wall_s() > end_s:
+            if session.clock.now_s() > end_s:
                 raise NoTap(f"no movement along +{sensor.axis} was seen within {_PATIENCE_S:g} s")
             session.clock.wait(_POLL_S)
         taps[sensor.axis] = tap
@@ -183,8 +183,8 @@ def _newest(session: Session, since_ns: int) -> dict[str, ObservedDisplacement]:
 
 def _wait_for_rest(session: Session) -> None:
     """Wait until the column stands, at most `_QUIET_S`."""
-    end_s = session.clock.wall_s() + _QUIET_S
-    while session.clock.wall_s() < end_s:
+    end_s = session.clock.now_s() + _QUIET_S
+    while session.clock.now_s() < end_s:
         session.clock.wait(_BEFORE_S)
         newest = _newest(session, session.clock.now_ns() - int(_BEFORE_S * 1e9))
         if all(_stands(one.value_m[np.isfinite(one.value_m)]) for one in newest.values()):

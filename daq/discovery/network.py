@@ -54,8 +54,8 @@ def announced_devices(drivers: Iterable[Driver], clock: HostClock) -> tuple[list
                 notes.append(f"{driver.name}: UDP port {port} cannot be used: {error}")
                 continue
             wait_s = max(wait_s, announcement.wait_s)
-        end = clock.wall_s() + wait_s
-        while sockets and (left := end - clock.wall_s()) > 0:
+        end = clock.now_s() + wait_s
+        while sockets and (left := end - clock.now_s()) > 0:
             ready, _, _ = select.select(list(sockets), [], [], left)
             for each in ready:
                 driver, announcement = sockets[each]

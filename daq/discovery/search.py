@@ -89,7 +89,7 @@ class PortSearch:
         Args:
             ask: whether requests for identification may be sent.
         """
-        began = self._clock.wall_s()
+        began = self._clock.now_s()
         try:
             result = self._received()
             if ask:
@@ -98,7 +98,7 @@ class PortSearch:
             result = Result(self._port, error.state, str(error))
         except LinkLost as error:
             result = Result(self._port, "not opened", str(error))
-        return replace(result, bytes_in=self._bytes_in, seconds=self._clock.wall_s() - began)
+        return replace(result, bytes_in=self._bytes_in, seconds=self._clock.now_s() - began)
 
     # --- receiving -----------------------------------------------------------------------------------------------
 
@@ -132,13 +132,13 @@ class PortSearch:
     def _read(self, link: Link, silence_s: float, look_s: float) -> list[tuple[bytes, int]]:
         """Read a port: for `silence_s` while it is silent, for `look_s` from its first byte; s."""
         reads: list[tuple[bytes, int]] = []
-        size, end = 0, self._clock.wall_s() + silence_s
-        while (left := end - self._clock.wall_s()) > 0 and size < _MOST_BYTES:
+        size, end = 0, self._clock.now_s() + silence_s
+        while (left := end - self._clock.now_s()) > 0 and size < _MOST_BYTES:
             data = link.read(min(left, _READ_S))
             if not data:
                 continue
             if not reads:
-                end = self._clock.wall_s() + look_s
+                end = self._clock.now_s() + look_s
             reads.append((data, self._clock.now_ns()))
             size += len(data)
         self._bytes_in += size
@@ -172,8 +172,8 @@ class PortSearch:
             while True:
                 if request.data:
                     link.write(request.data)
-                received, end = b"", self._clock.wall_s() + request.wait_s
-                while (left := end - self._clock.wall_s()) > 0 and len(received) < _MOST_BYTES:
+                received, end = b"", self._clock.now_s() + request.wait_s
+                while (left := end - self._clock.now_s()) > 0 and len(received) < _MOST_BYTES:
                     if data := link.read(min(left, _READ_S)):
                         received += data
                         if request.is_answered(received):

@@ -165,14 +165,14 @@ class HostCommand(SpeedControl):
         Raises:
             DeviceError: they are not done in time.
         """
-        deadline = self._clock.wall_s() + seconds
+        deadline = self._clock.now_s() + seconds
         with closing(steps):
             while True:
                 check()
                 awaited = next(steps, None)
                 if awaited is None:
                     return
-                if self._clock.wall_s() > deadline:
+                if self._clock.now_s() > deadline:
                     raise DeviceError(f"drive: {awaited}")
                 self._pass()
 
@@ -248,10 +248,10 @@ class HostCommand(SpeedControl):
         Args:
             order: sends the command, and returns a function that returns whether it was confirmed since.
         """
-        deadline = self._clock.wall_s() + _CONFIRM_S
-        while self._clock.wall_s() < deadline:
-            confirmed, again = order(), self._clock.wall_s() + REPEAT_S
-            while self._clock.wall_s() < again:
+        deadline = self._clock.now_s() + _CONFIRM_S
+        while self._clock.now_s() < deadline:
+            confirmed, again = order(), self._clock.now_s() + REPEAT_S
+            while self._clock.now_s() < again:
                 if confirmed():
                     return True
                 self._pass()
@@ -286,15 +286,15 @@ class HostCommand(SpeedControl):
 
         Args:
             reported: returns whether it does.
-            fed_s: wall time of the last sign of life, s.
+            fed_s: time of the last sign of life, s since 1970.
             stated_s: time-out that it states, s.
             period_s: period of its reports and of its watch, s.
         """
-        looked_s, longest_s, heard = self._clock.wall_s(), 0.0, False
+        looked_s, longest_s, heard = self._clock.now_s(), 0.0, False
         end_s = fed_s + _MOST_TIME_OUTS * stated_s + 1.0
         while not heard and looked_s < end_s:
             self._clock.wait(0.002)
-            before_s, looked_s = looked_s, self._clock.wall_s()
+            before_s, looked_s = looked_s, self._clock.now_s()
             heard, longest_s = reported(), max(longest_s, looked_s - before_s)
         resolution_s = period_s + _REPORT_DELAY_S + 2 * longest_s  # a busy host is late
         return TimeOut(looked_s - fed_s if heard else None, stated_s, resolution_s)

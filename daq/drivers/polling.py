@@ -62,7 +62,7 @@ class RequestLoop(Poller):
     def start(self) -> None:
         self.stop()
         self._asked_s, self._echo = None, b""  # a request before a pause is not answered any more
-        self._due_s = self._clock.wall_s()
+        self._due_s = self._clock.now_s()
         beat_s = max(_LEAST_BEAT_S, self._request.period_s / _BEATS)
         self._repeated = self._clock.every(beat_s, self._beat, "polls", self._failed)
 
@@ -88,7 +88,7 @@ class RequestLoop(Poller):
     def hurry(self) -> None:
         """Send the next request without waiting for its period, as soon as the present one is answered."""
         with self._lock:
-            self._due_s = min(self._due_s, self._clock.wall_s())
+            self._due_s = min(self._due_s, self._clock.now_s())
 
     @override
     def stop(self) -> None:
@@ -97,7 +97,7 @@ class RequestLoop(Poller):
             repeated.stop()
 
     def _beat(self) -> None:
-        now, period = self._clock.wall_s(), self._request.period_s
+        now, period = self._clock.now_s(), self._request.period_s
         with self._lock:
             waits = self._asked_s is not None and now - self._asked_s < self._request.answer_s
             if self._repeated is None or waits or now < self._due_s:

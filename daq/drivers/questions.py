@@ -12,7 +12,7 @@ from typing import TypeVar
 from daq.drivers.contract import Talk
 
 ANSWER_S, TRIES = 0.5, 3
-"""Usual wall time within which a device answers, s, and number of times that a request is sent."""
+"""Usual time within which a device answers, s, and number of times that a request is sent."""
 _Found = TypeVar("_Found")
 
 
@@ -23,9 +23,9 @@ def drop_replies(talk: Talk) -> None:
 
 
 def replies_within(talk: Talk, seconds: float) -> Iterator[str]:
-    """Yield the replies that arrive within some wall s."""
-    deadline = talk.clock.wall_s() + seconds
-    while (left := deadline - talk.clock.wall_s()) > 0:
+    """Yield the replies that arrive within a number of seconds."""
+    deadline = talk.clock.now_s() + seconds
+    while (left := deadline - talk.clock.now_s()) > 0:
         try:
             reply = talk.replies.get(timeout=left)
         except queue.Empty:  # usual: no further reply in time
@@ -46,7 +46,7 @@ def ask(
         talk: the open device.
         request: the request.
         found_in: returns what a reply answers; None for a reply to something else. It may raise.
-        seconds: wall time within which an answer arrives, s; None: `ANSWER_S`.
+        seconds: time within which an answer arrives, s; None: `ANSWER_S`.
         tries: number of times that the request is sent.
 
     Returns:
@@ -84,12 +84,12 @@ def stop_stream(talk: Talk, order: bytes) -> bool:
     clock = talk.clock
     for _ in range(TRIES):
         talk.send(order)
-        count, since = talk.bytes_in, clock.wall_s()
+        count, since = talk.bytes_in, clock.now_s()
         deadline = since + _TRY_S
-        while clock.wall_s() < deadline:
+        while clock.now_s() < deadline:
             clock.wait(_QUIET_S / 10)
             if talk.bytes_in != count:
-                count, since = talk.bytes_in, clock.wall_s()
-            elif clock.wall_s() - since > _QUIET_S:
+                count, since = talk.bytes_in, clock.now_s()
+            elif clock.now_s() - since > _QUIET_S:
                 return True
     return False

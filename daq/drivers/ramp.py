@@ -90,10 +90,10 @@ def wait_for_rest(
     Raises:
         LinkLost: commands cannot be sent any more.
     """
-    begun = slower = notified = next_order = clock.wall_s()
+    begun = slower = notified = next_order = clock.now_s()
     least, failures = math.inf, 0
     while True:
-        now = clock.wall_s()
+        now = clock.now_s()
         if now >= next_order:
             next_order = now + REPEAT_S
             try:

@@ -170,7 +170,7 @@ class Runner:
 
     # --- requests of the operator ------------------------------------------------------------------------------
 
-    def _wait(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
+    def _wait(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait for a condition as Session.wait_for does. An abort ends the wait."""
 
         def over() -> bool:
@@ -178,7 +178,7 @@ class Runner:
                 self._take(self._entered, request)
             return self._abort is not None or condition()
 
-        self._commands.session.wait_for(over, wall_s, what)
+        self._commands.session.wait_for(over, seconds, what)
         if self._abort is not None:
             raise _Aborted
 

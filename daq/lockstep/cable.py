@@ -177,10 +177,10 @@ class LockstepLink(Link):
                     wanted = turns.send(self._taken())
                 elif self._lost:
                     turns.throw(LinkLost(f"{self.name}: the other end closed. Look at cable and power"))
-                elif wanted.wall_s <= 0:
+                elif wanted.seconds <= 0:
                     wanted = turns.send(b"")
                 else:
-                    self._wait_for_bytes(wanted.wall_s)
+                    self._wait_for_bytes(wanted.seconds)
                     return
             self._count += 1
             number = self._count
@@ -190,10 +190,10 @@ class LockstepLink(Link):
             if not self._closed:
                 self._failed(error)
 
-    def _wait_for_bytes(self, wall_s: float) -> None:
+    def _wait_for_bytes(self, seconds: float) -> None:
         self._count += 1
         number = self._reading = self._count
-        self._cable.after(wall_s, lambda: self._timed_out(number))
+        self._cable.after(seconds, lambda: self._timed_out(number))
 
     def _rested(self, number: int) -> None:
         if number == self._count and not self._closed:

@@ -47,8 +47,8 @@ class SimulatedClock(HostClock):
     def now_ns(self) -> int:
         return self._now_ns
 
-    @override
-    def wall_s(self) -> float:
+    def passed_s(self) -> float:
+        """Time since the start, s."""
         return (self._now_ns - self._start_ns) * 1e-9
 
     # --- actions -----------------------------------------------------------------------------------------------

@@ -43,10 +43,6 @@ class HostClock:
         """Time now, s since 1970."""
         return self.now_ns() * 1e-9
 
-    def wall_s(self) -> float:
-        """Time since an arbitrary fixed instant, s."""
-        return time.monotonic()
-
     # --- waiting -----------------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:

@@ -83,7 +83,7 @@ class SyncSender(RequestLoop):
 
     @override
     def heard(self, data: bytes) -> None:
-        before, now_s = bool(self._missing or self._owing), self._clock.wall_s()
+        before, now_s = bool(self._missing or self._owing), self._clock.now_s()
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id in self._expected:
                 self._answer(frame.arbitration_id, now_s)

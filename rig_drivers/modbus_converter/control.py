@@ -118,12 +118,12 @@ class ConverterControl(HostCommand):
         with self._deciding:
             check()
             orders = self._line.put(requests)
-        deadline = self._clock.wall_s() + _CONFIRM_S
+        deadline = self._clock.now_s() + _CONFIRM_S
         try:
             while waiting := [order for order in orders if order.answer is None]:
                 with self._deciding:
                     check()
-                if self._clock.wall_s() > deadline:
+                if self._clock.now_s() > deadline:
                     raise DeviceError(f"drive: no answer to {waiting[0].request.words}. Look at its power and its line")
                 self._pass()
         finally:

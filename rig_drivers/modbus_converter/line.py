@@ -115,7 +115,7 @@ class RequestLine:
             asked = self._asked
             if asked is not None and asked.request == answer.request:
                 self._asked = None
-                self._free_s = self._clock.wall_s() + self._pause_s
+                self._free_s = self._clock.now_s() + self._pause_s
                 if answer.exception in _BUSY and asked.tries > 0:
                     self._orders.appendleft(asked)
                     self._resume_s = self._free_s + self._answer_s
@@ -130,7 +130,7 @@ class RequestLine:
         """
         with self._sending:
             with self._deciding:
-                order = self._next(self._clock.wall_s())
+                order = self._next(self._clock.now_s())
             if order is not None:
                 self.sent_ns = self._clock.now_ns()
                 self._send(wire.encode(order.request))

@@ -93,12 +93,12 @@ class Bench:
         if self.fault is not None:
             raise self.fault
 
-    def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
-        end = self.clock.ns + wall_s * 1e9
+    def wait_for(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
+        end = self.clock.ns + seconds * 1e9
         while not condition():
             self.check()
             if self.clock.ns > end:
-                raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
+                raise DeviceError(f"waited {seconds:g} s for {what}: timeout")
             self.clock.wait(1.0)
 
     def fail(self, error: Exception) -> None:

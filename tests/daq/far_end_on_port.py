@@ -33,9 +33,6 @@ class HandClock(HostClock):
     def now_ns(self) -> int:
         return START_NS + round(self.now * 1e9)
 
-    def wall_s(self) -> float:
-        return self.now
-
 
 class SilentDevice(FarEnd):
     """No device: it sends and answers nothing."""

@@ -135,9 +135,9 @@ class NodeObjects:
             "right, the bus terminated?"
         )
 
-    def _answer(self, wall_seconds: float) -> bytes:
+    def _answer(self, seconds: float) -> bytes:
         """Wait for the answer. Raises queue.Empty without one."""
-        return self._answers.get(timeout=wall_seconds)
+        return self._answers.get(timeout=seconds)
 
 
 class DialogueObjects(NodeObjects):
@@ -154,10 +154,10 @@ class DialogueObjects(NodeObjects):
         self._talk = talk
 
     @override
-    def _answer(self, wall_seconds: float) -> bytes:
-        deadline = self._clock.wall_s() + wall_seconds
+    def _answer(self, seconds: float) -> bytes:
+        deadline = self._clock.now_s() + seconds
         while self._answers.empty():
-            text = self._talk.replies.get(timeout=max(0.0, deadline - self._clock.wall_s()))
+            text = self._talk.replies.get(timeout=max(0.0, deadline - self._clock.now_s()))
             identifier, _, data = text.partition(" ")
             if identifier == f"{cia301.cob_sdo_answer(self.node_id):03X}" and len(data) == 2 * _SDO.size:
                 self.take_answer(bytes.fromhex(data))

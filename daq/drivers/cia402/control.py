@@ -205,15 +205,15 @@ class DriveControl(HostCommand):
                 f"drive: it does not watch the heartbeat of node {self._config.host_node_id} for {self._watch_ms} ms: "
                 f"1016h sub 1 {found}. A drive that does not stop when its host is gone must not turn the rotor"
             )
-        end = self._clock.wall_s() + 3e-3 * self._config.heartbeat_ms + _MAX_BEAT_AGE_S
-        while self._beats <= self._beats_unwatched and self._clock.wall_s() < end:
+        end = self._clock.now_s() + 3e-3 * self._config.heartbeat_ms + _MAX_BEAT_AGE_S
+        while self._beats <= self._beats_unwatched and self._clock.now_s() < end:
             self._clock.wait(0.005)
         self._check_heartbeat()
 
     def _check_heartbeat(self) -> None:
         """Raise DeviceError if the host's heartbeat is not sent: the drive ignores it, or will stop by itself."""
         patience_s = max(_MAX_BEAT_AGE_S, 1e-3 * self._config.heartbeat_timeout_ms)
-        if self._beats <= self._beats_unwatched or self._clock.wall_s() - self._beat_s > patience_s:
+        if self._beats <= self._beats_unwatched or self._clock.now_s() - self._beat_s > patience_s:
             raise DeviceError("drive: the host's heartbeat does not go out. Look at adapter, bus and cable")
 
     @override
@@ -224,8 +224,8 @@ class DriveControl(HostCommand):
     def _reset_if_only_heartbeat(self) -> None:
         faults.check_only_heartbeat(self._objects, lambda: self.emergencies)
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
-        deadline = self._clock.wall_s() + _RESET_WITHIN_S
-        while self.state == cia402.FAULT and self._clock.wall_s() < deadline:
+        deadline = self._clock.now_s() + _RESET_WITHIN_S
+        while self.state == cia402.FAULT and self._clock.now_s() < deadline:
             self._pdo(cia402.DISABLE_VOLTAGE, 0)  # the rising edge of the bit resets; one may be refused
             self._clock.wait(_RESET_S)  # a drive reads the word in its own cycles
             self._pdo(cia402.FAULT_RESET, 0)
@@ -313,7 +313,7 @@ class DriveControl(HostCommand):
         it.
         """
         super().quick_stop()
-        now_s = self._clock.wall_s()
+        now_s = self._clock.now_s()
         self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
         self._pdo(cia402.QUICK_STOP, 0)
         in_network = self._network_state in (None, cia301.Heartbeat.OPERATIONAL)
@@ -332,8 +332,8 @@ class DriveControl(HostCommand):
         """Whether the drive has left operation, or its newest report is from within `_QUICK_STOP_S` of the command."""
         if self._recent_state == cia402.UNKNOWN:
             return False
-        reported_s = self._clock.wall_s() - (self._clock.now_ns() - self._report_ns) * 1e-9
-        return self.state != cia402.OPERATION_ENABLED or reported_s - (self._stopping_s or 0.0) <= _QUICK_STOP_S
+        since_s = self._report_ns * 1e-9 - (self._stopping_s or 0.0)
+        return self.state != cia402.OPERATION_ENABLED or since_s <= _QUICK_STOP_S
 
     @override
     def why(self) -> str:
@@ -359,8 +359,8 @@ class DriveControl(HostCommand):
         finally:
             self._start_heartbeat()
             self._objects.send(0, bytes([NMT_START, self._config.node_id]))  # a drive without its host may leave it
-            begun_ns, end_s = self._clock.now_ns(), self._clock.wall_s() + _NEXT_REPORT_S
-            while self._report_ns <= begun_ns and self._clock.wall_s() < end_s:
+            begun_ns, end_s = self._clock.now_ns(), self._clock.now_s() + _NEXT_REPORT_S
+            while self._report_ns <= begun_ns and self._clock.now_s() < end_s:
                 self._pass()
             self._fault_without_host = self._recent_state == cia402.FAULT
             if self._fault_without_host:
@@ -383,7 +383,7 @@ class DriveControl(HostCommand):
                 self._objects.send(identifier, operational)
             except (DeviceError, LinkLost):  # usual: the link's reader reports the loss
                 return  # the next beat may use a new link
-            self._beats, self._beat_s = self._beats + 1, self._clock.wall_s()
+            self._beats, self._beat_s = self._beats + 1, self._clock.now_s()
             if self._awaits_report and self._network_state == cia301.Heartbeat.PRE_OPERATIONAL:
                 with ignoring(_log, "starting the network operation again", DeviceError, LinkLost):
                     self._objects.send(0, bytes([NMT_START, self._config.node_id]))  # the first one was lost

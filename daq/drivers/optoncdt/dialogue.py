@@ -96,7 +96,7 @@ def _after_stream(device: str, config: Laser, talk: Talk) -> _Dialogue:
     Raises:
         DeviceError: the sensor goes on streaming, or does not answer.
     """
-    give_up_s, repeated = talk.clock.wall_s() + _MOST_BACKLOG_S, False
+    give_up_s, repeated = talk.clock.now_s() + _MOST_BACKLOG_S, False
     while True:
         if not stop_stream(talk, b"OUTPUT NONE\n"):
             raise DeviceError(
@@ -107,7 +107,7 @@ def _after_stream(device: str, config: Laser, talk: Talk) -> _Dialogue:
         try:
             dialogue.command("OUTPUT NONE", repeat=False)  # the answer to the first one may be lost in the stream
         except _NoAnswer:
-            if talk.bytes_in == received or talk.clock.wall_s() > give_up_s:
+            if talk.bytes_in == received or talk.clock.now_s() > give_up_s:
                 raise
             repeated = True
             continue
@@ -191,8 +191,8 @@ class _Dialogue:
         """Return the lines before the prompt of the answer to a command; None if it does not arrive in time."""
         clock = self._talk.clock
         lines: list[str] = []
-        deadline = clock.wall_s() + wait_s
-        while (left := deadline - clock.wall_s()) > 0:
+        deadline = clock.now_s() + wait_s
+        while (left := deadline - clock.now_s()) > 0:
             try:
                 line = self._talk.replies.get(timeout=left)
             except queue.Empty:  # usual: the sensor sends no further line
@@ -214,9 +214,9 @@ class _Dialogue:
     def drop_answers(self, quiet_s: float) -> None:
         """Remove answers until none has arrived for some seconds, or some more have passed."""
         clock = self._talk.clock
-        end_s = clock.wall_s() + _MOST_LATE_S
+        end_s = clock.now_s() + _MOST_LATE_S
         try:
-            while clock.wall_s() < end_s:
+            while clock.now_s() < end_s:
                 if quiet_s:
                     self._talk.replies.get(timeout=quiet_s)
                 else:

@@ -49,8 +49,8 @@ class NodeLocks(LockControl):
         payload = wire.NodeCommand(self._node, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
             self._transmit(payload)
-            deadline = self._clock.wall_s() + _TRY_S
-            while self._clock.wall_s() < deadline:
+            deadline = self._clock.now_s() + _TRY_S
+            while self._clock.now_s() < deadline:
                 check()
                 try:
                     event = self._acknowledges.get(timeout=_CHECK_S)
@@ -69,8 +69,8 @@ class NodeLocks(LockControl):
             self._seq = (self._seq + 1) & 0x7FFF
             sent_ns[self._seq] = self._clock.now_ns()
             self._transmit(wire.Ping(self._node, self._seq).pack())
-            deadline = self._clock.wall_s() + _PING_EVERY_S
-            while self._clock.wall_s() < deadline:
+            deadline = self._clock.now_s() + _PING_EVERY_S
+            while self._clock.now_s() < deadline:
                 with suppress(queue.Empty):  # usual: no answer so far
                     event = self._acknowledges.get(timeout=_CHECK_S)
                     if event.facts.get("ping_seq") in sent_ns:

@@ -13,14 +13,14 @@ from rig_configs import load_rig
 
 
 class Waits(HostClock):
-    """A clock that advances by given times, wall s, one for each wait; the last one is repeated."""
+    """A clock that advances by given times, s, one for each wait; the last one is repeated."""
 
     def __init__(self, *seconds: float) -> None:
         super().__init__()
         self._of, self._at_s, self.waits = seconds, 100.0, 0
 
-    def wall_s(self) -> float:
-        return self._at_s
+    def now_ns(self) -> int:
+        return round(self._at_s * 1e9)
 
     def wait(self, seconds: float) -> None:
         self._at_s += self._of[min(self.waits, len(self._of) - 1)]

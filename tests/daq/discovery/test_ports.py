@@ -352,9 +352,9 @@ class PromptClock(HostClock):
         super().__init__()
         self.now = 0.0
 
-    def wall_s(self) -> float:
+    def now_ns(self) -> int:
         self.now += 0.5
-        return self.now
+        return round(self.now * 1e9)
 
 
 def test_a_device_that_announces_itself_is_found_once() -> None:

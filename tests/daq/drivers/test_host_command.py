@@ -35,9 +35,6 @@ class HandClock(HostClock):
         self.at_s = 1000.0
         self.passes: Callable[[float], None] = lambda at_s: None
 
-    def wall_s(self) -> float:
-        return self.at_s
-
     def now_ns(self) -> int:
         return round(self.at_s * 1e9)
 

@@ -106,7 +106,7 @@ class OpenAdapter:
         self.joined_after: int | None = None
         self._now_s = 0.0
 
-    def wall_s(self) -> float:
+    def now_s(self) -> float:
         return self._now_s
 
     def wait(self, seconds: float) -> None:
@@ -127,7 +127,7 @@ def test_frames_that_an_adapter_holds_from_an_earlier_session_are_not_recorded(p
     DRIVER.open("bus", CanSensors.model_validate(table), cast(Any, adapter))
     assert adapter.heard == [CLOSE_BUS] * old + [open_bus(1_000_000)]
     assert adapter.joined_after == (adapter.bytes_in if old else None)
-    assert (adapter.wall_s() > 0.3) == old
+    assert (adapter.now_s() > 0.3) == old
 
 
 def test_answers_of_an_adapter_do_not_show_that_the_bus_carries_frames() -> None:

@@ -44,9 +44,6 @@ class RigTime(HostClock):
     def now_ns(self) -> int:
         return round(self.rig_s * 1e9)
 
-    def wall_s(self) -> float:
-        return self.rig_s
-
     def wait(self, seconds: float) -> None:
         assert self.passes is not None
         self.passes(seconds)

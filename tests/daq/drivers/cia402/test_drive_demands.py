@@ -126,10 +126,10 @@ def test_a_missing_answer_is_not_called_a_wrong_mapping() -> None:
 
 
 class _QuickClock(HostClock):
-    """Wall time that passes ten times as fast."""
+    """Time that passes ten times as fast."""
 
-    def wall_s(self) -> float:
-        return 10.0 * super().wall_s()
+    def now_ns(self) -> int:
+        return 10 * super().now_ns()
 
     def wait(self, seconds: float) -> None:
         super().wait(seconds / 10.0)
@@ -143,11 +143,11 @@ class _QuickClock(HostClock):
 def test_a_drive_may_need_seconds_to_be_enabled() -> None:
     """It looks for the position of its motor, or charges its link."""
     drive, clock = MappedDrive({}), _QuickClock()
-    begun_s = clock.wall_s()
+    begun_s = clock.now_s()
 
     def hear_slowly(data: bytes) -> None:
         enabling = encode(CanFrame(cia301.cob_rpdo(1, NODE), cia402.VELOCITY.pack(0x0F, 0)))
-        if data == enabling and clock.wall_s() < begun_s + 6.0:
+        if data == enabling and clock.now_s() < begun_s + 6.0:
             drive.reports()
         else:
             drive.hear(data)
@@ -156,7 +156,7 @@ def test_a_drive_may_need_seconds_to_be_enabled() -> None:
     drive.host.start()
     drive.host.enable()
     assert drive.host.state == cia402.OPERATION_ENABLED
-    assert clock.wall_s() > begun_s + 6.0
+    assert clock.now_s() > begun_s + 6.0
     drive.host.stop()
 
 
@@ -216,9 +216,6 @@ class _Counted(HostClock):
         super().__init__()
         self.at_s = self.begun_s = 1000.0
         self.passes = passes
-
-    def wall_s(self) -> float:
-        return self.at_s
 
     def now_ns(self) -> int:
         return round(self.at_s * 1e9)

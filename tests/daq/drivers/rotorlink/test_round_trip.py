@@ -77,7 +77,7 @@ class Wound(HostClock):
     def now_ns(self) -> int:
         return self._far.now_ns
 
-    def wall_s(self) -> float:
+    def now_s(self) -> float:
         self._far.now_ns += MS
         return self._far.now_ns * 1e-9
 
