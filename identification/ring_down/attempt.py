@@ -13,6 +13,7 @@ from identification.ring_down.decay import (
     DecayData,
     FittedDecay,
     Priors,
+    best_start,
     once_per_fit,
     refuse_too_short,
     solve,
@@ -54,7 +55,8 @@ _MAX_LINES, _MAX_COLOURS = 8, 2
 _CUT_AT = 8.0  # decay times, after which a mode is below 1/3000 of its start
 _MIN_STRETCH = 1.15  # factor on intervals for coloured residuals above which a record may be shortened
 _SECOND_MODE_GAIN = 20.0  # of χ² beyond BIC's penalty; above the largest peak of noise among thousands
-_MIN_SPLIT = 3.0  # half-bandwidths
+_MIN_SPLIT = 3.0  # half-bandwidths; two closer decays may describe one decay of another law
+_SPLITS = (0.3, 1.0, 2.0)  # half-bandwidths, from the mean of two close modes to each of them at the start
 _MIN_CHI2 = 0.5  # χ²/dof
 _MAX_FREQUENCY_RATIO = 6.0  # of a second mode of the suspension to the first one
 
@@ -86,6 +88,7 @@ class FitOptions:
         fitted = self.from_starts(decay, near)
         tried(_described(fitted))
         refuse_too_short(fitted)
+        fitted = fitted if self.turned else self.with_second_mode(fitted, sole=True)
         fitted = self.with_rungs(self.with_residual_noise(fitted), first=True)
         fitted = self.with_known_noise(self.without_lines(fitted, near))
         fitted = self.with_hidden_mode(fitted)
@@ -251,24 +254,27 @@ class FitOptions:
         order = min((k for k in choices if k <= highest), key=lambda k: choices[k])
         return fitted if order == fitted.model.drift else self.again(fitted, drift=order)
 
-    def with_second_mode(self, fitted: FittedDecay) -> FittedDecay:
-        """Fit with two modes in one sensor if the residuals require it. The stronger mode is the first one."""
-        dof = fitted.count - fitted.model.linear - fitted.model.size
-        if "second-mode" in self.without or fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
+    def with_second_mode(self, fitted: FittedDecay, *, sole: bool = False) -> FittedDecay:
+        """Fit with two modes in one sensor if the data require it. The stronger mode is the first one.
+
+        The other explanation of a decay that is not exponential, rates that depend on amplitude, is fitted as well.
+
+        Args:
+            fitted: fit of one mode.
+            sole: whether the second mode must explain all of the misfit.
+        """
+        if "second-mode" in self.without or fitted.model.modes == 2 or not is_misfit(fitted):
             return fitted
-        second = damped_periodogram(rests(fitted))
-        theta = np.r_[fitted.theta[:2], theta_of([second])]
-        fastest = max(float(np.max(fitted.omegas)), second.omega)
-        first = rate(float(fitted.omegas[0]), float(fitted.zetas[0]))
-        # two closer decays describe one decay that is not exponential
-        apart = abs(second.lam - first) > _MIN_SPLIT * max(-first.real, -second.lam.real)
-        if not apart or not 1 / _MAX_FREQUENCY_RATIO < second.omega / abs(first) < _MAX_FREQUENCY_RATIO:
+        first, second = fitted.theta[:2], theta_of([damped_periodogram(rests(fitted))])
+        starts = [np.r_[first, second], *(np.r_[first - apart, first + apart] for apart in _splits(float(first[1])))]
+        width = width_for(float(np.exp(max(first[0], second[0]))), BLOCKS_PER_CYCLE[self.setting])
+        model = fitted.decay.model(width, 2, False, fitted.model.drift, False)
+        start = best_start(model, [each for each in starts if _is_of_suspension(each, first)], self.priors)
+        if start is None:
             return fitted
-        both = self.refitted(fitted.decay, [theta], fastest, fitted.model.drift, modes=2)
-        both = _stronger_first(both)
-        if fitted.model.backbone is not None and both.chi2 > fitted.chi2:
-            return fitted
-        return both if self.with_fewest_modes(both) is both else fitted
+        both = _stronger_first(solve(fitted.decay, model, [start], self.priors))
+        may_be = _is_of_suspension(both.theta, first) and not (sole and is_misfit(both))
+        return self.with_fewest_modes(both) if may_be and _is_sound_pair(both) else fitted
 
     def with_fewest_modes(self, fitted: FittedDecay) -> FittedDecay:
         """Fit with one mode in one sensor, unless a second mode has a very significant gain."""
@@ -276,12 +282,12 @@ class FitOptions:
             return fitted
         fastest = float(np.max(fitted.omegas))
         single = self.refitted(fitted.decay, [fitted.theta[:2]], fastest, fitted.model.drift, modes=1)
-        single = self.with_rungs(single) if fitted.model.backbone is not None else single
-        gain = (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
-        lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-        apart = abs(lams[0] - lams[1]) > _MIN_SPLIT * max(-lams[0].real, -lams[1].real)
-        worth = gain > 4 * np.log(fitted.count) + _SECOND_MODE_GAIN and np.all(fitted.zetas > 0) and apart
-        return fitted if worth else single
+        bent = climbed(single, self.priors, first=False)
+        gain = (bent.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
+        more = fitted.model.linear + fitted.model.free - bent.model.linear - bent.model.free
+        if _is_sound_pair(fitted) and gain > more * np.log(fitted.count) + _SECOND_MODE_GAIN:
+            return fitted
+        return self.with_rungs(single)
 
     def without_outliers(self, fitted: FittedDecay) -> tuple[FittedDecay, int]:
         """Mask outliers until nothing changes. Return the fit with its drift selected, and the number of outliers."""
@@ -342,6 +348,23 @@ def _falling(fitted: FittedDecay) -> list[tuple[float, float]]:
     rates = [fitted.model.mode_rates(fitted.theta, mode) for mode in range(fitted.model.modes)]
     levels = zip(rates, backbone.largest_m, strict=True)
     return [(-own.drag * largest / REFERENCE_M, own.zeta) for own, largest in levels]
+
+
+def _splits(zeta: float) -> list[np.ndarray]:
+    """Halves of the differences in ln ω and ζ of two close modes of which one fit has found the mean."""
+    return [np.array([away * abs(zeta), 0.0]) for away in _SPLITS]
+
+
+def _is_of_suspension(theta: np.ndarray, first: np.ndarray) -> bool:
+    """Whether the frequencies of two modes are within the usual ratio of that of a fit of one."""
+    return float(np.max(np.abs(theta[0:3:2] - first[0]))) < np.log(_MAX_FREQUENCY_RATIO)
+
+
+def _is_sound_pair(fitted: FittedDecay) -> bool:
+    """Whether two modes of one sensor decay, and are not two parts of one decay of another law."""
+    lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
+    apart = abs(lams[0] - lams[1]) > _MIN_SPLIT * max(-lams[0].real, -lams[1].real)
+    return bool(np.all(fitted.zetas > 0)) and (apart or not is_misfit(fitted))
 
 
 def _stronger_first(fitted: FittedDecay) -> FittedDecay:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -11,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from identification.errors import FitFailed, NotIdentifiable
-from identification.least_squares import Solution, solve_separable
+from identification.least_squares import Minimum, Solution, solve_separable
 from identification.lines import SpectralLine
 from identification.ring_down.averaging import corrected
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
@@ -19,10 +20,13 @@ from identification.ring_down.record import SensorRecord
 from identification.samples import Averages
 from rig_basics.texts import distinct, number_of
 
+_log = logging.getLogger(__name__)
+
 _T = TypeVar("_T")
 COARSE_S = 1 / 250.0  # duration of the blocks for start values: 20 per cycle up to 12.5 Hz
 _MIN_BLOCKS, _MIN_CYCLES = 24, 1.5
 _MAX_ITERATIONS = 100  # a close pair needs many
+_START_ITERATIONS = 3  # from each of several start values
 _CORRECTIONS = 3  # each reduces the error of amplitudes and exact motion to a thirtieth at 3 % of stiffness
 
 
@@ -207,6 +211,20 @@ def solve(decay: DecayData, model: DecayModel, starts: Sequence[np.ndarray], pri
             break
         fitted = _solved(decay, model, [fitted.theta], priors)
     return fitted
+
+
+def best_start(model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> np.ndarray | None:
+    """Return θ with the smallest cost after a few iterations from each start value; None if each of them fails."""
+    found: list[Minimum] = []
+    for start in starts:
+        if model.is_absurd(start):
+            continue
+        try:
+            std = prior_std(model, priors)
+            found.append(solve_separable(model, start, np.zeros(model.size), std, _START_ITERATIONS).minimum)
+        except FitFailed as error:
+            _log.debug("a start value is left out: %s", error)
+    return min(found, key=lambda one: one.cost).theta if found else None
 
 
 def prior_std(model: DecayModel, priors: Priors) -> np.ndarray:

@@ -293,7 +293,7 @@ def _one_direction(
     findings.warnings += coarse_remark(fitted)
     if fitted.model.modes == 2:
         findings.warnings.append(
-            f"this sensor shows a second mode at {fitted.omegas[1] / (2 * np.pi):.4g} Hz, which is fitted in addition "
+            f"this sensor shows a second mode at {fitted.omegas[1] / (2 * np.pi):#.4g} Hz, which is fitted in addition "
             "to the first; its identification needs both sensors"
         )
     return result(fitted, findings, (str(axis + 1),))

@@ -8,25 +8,20 @@ with a prior about zero, so that the interval of the value at zero amplitude cov
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtri
 
-from identification.errors import FitFailed
-from identification.least_squares import solve_separable
 from identification.ring_down.averaging import with_terms
 from identification.ring_down.backbone import REFERENCE_M, Backbone
-from identification.ring_down.decay import FittedDecay, Priors, prior_std, solve
+from identification.ring_down.decay import FittedDecay, Priors, best_start, solve
 from identification.ring_down.disturbances import mode_size
 from identification.ring_down.model import DecayModel
 from identification.ring_down.modes import rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
 from rig_basics.arrays import Array
-
-_log = logging.getLogger(__name__)
 
 _MIN_BIC_GAIN = 2.0  # of BIC; small, since a missing term biases more than a superfluous one widens
 _FALSE_ALARM_RATE = 1e-3  # probability that noise alone adds a term to a fit
@@ -37,7 +32,6 @@ _MIN_ZETA, _MAX_ZETA = -1e-3, 0.25  # damping ratios for which the amplitude cha
 _MIN_MISFIT_STD, _MIN_EXPLAINED = 6.0, 0.7  # standard deviations of χ²/dof; explained share of the misfit
 _FREQUENCY_CHANGES = (-0.02, -0.005, -0.001, 0.001, 0.005, 0.02)  # relative, at the largest amplitude
 _DAMPING_CHANGES = (-0.5, 0.2, 0.5, 1.5)  # relative to ζ, at the largest amplitude
-_START_ITERATIONS = 3  # from each start value
 _MEAN_SQUARE, _MEAN = 0.4, 0.6  # of the relative amplitude over the part of the decay that determines the rates
 
 Taken = tuple[bool, ...]
@@ -161,20 +155,8 @@ def _with(fitted: FittedDecay, index: int, priors: Priors) -> FittedDecay | None
     """Fit with one more term, from the best of several start values."""
     taken = tuple(on or i == index for i, on in enumerate(_taken(fitted)))
     model, theta = with_terms(fitted.model, fitted.theta, fitted.solution.coefficients, taken)
-    std = prior_std(model, priors)
-    candidates: list[tuple[float, Array]] = []
-    for start in _starts(model, theta, index):
-        if model.is_absurd(start):
-            continue
-        try:
-            found = solve_separable(model, start, np.zeros(model.size), std, _START_ITERATIONS).minimum
-        except FitFailed as error:
-            _log.debug("a start value of the added mode is left out: %s", error)
-            continue
-        candidates.append((found.cost, found.theta))
-    if not candidates:
-        return None
-    return solve(fitted.decay, model, [min(candidates, key=lambda one: one[0])[1]], priors)
+    start = best_start(model, _starts(model, theta, index), priors)
+    return None if start is None else solve(fitted.decay, model, [start], priors)
 
 
 def _starts(model: DecayModel, theta: Array, index: int) -> list[Array]:
