@@ -281,7 +281,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
     found = judged(end)
     if found.span_s == 0.0:
         raise NotEnoughData(found.why)
-    if found.rests and any(judged(end - since).settled for since in _RECENT_S):
+    if found.is_level and any(judged(end - since).settled for since in _RECENT_S):
         found = replace(found, settled=True, why=f"steady a moment ago; {found.why}", more_s=0.0)
     return found
 

@@ -111,8 +111,8 @@ class ClockSeed:
         """Return the common time of a device time, ns; of the candidates one wrap apart, the nearest to `near_ns`."""
         ahead = device_ns - self.device_ns
         at_ns = self.host_ns + ahead + round(self.rate * ahead)
-        turn_ns = self.wrap_ns + round(self.rate * self.wrap_ns)
-        return at_ns + turn_ns * round((near_ns - at_ns) / turn_ns)
+        wrap_ns = self.wrap_ns + round(self.rate * self.wrap_ns)
+        return at_ns + wrap_ns * round((near_ns - at_ns) / wrap_ns)
 
 
 _Bin = tuple[int, float, float, int]

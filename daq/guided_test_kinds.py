@@ -153,8 +153,8 @@ _CAMPAIGN = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", "p
 def _installed() -> Mapping[str, EntryPoint]:
     """Return the entry points by name, in the order of a campaign. Other tests follow in alphabetical order."""
     found = {point.name: point for point in entry_points(group=GROUP)}
-    order = {name: place for place, name in enumerate(_CAMPAIGN)}
-    return {name: found[name] for name in sorted(found, key=lambda name: (order.get(name, len(order)), name))}
+    places = {name: place for place, name in enumerate(_CAMPAIGN)}
+    return {name: found[name] for name in sorted(found, key=lambda name: (places.get(name, len(places)), name))}
 
 
 @cache

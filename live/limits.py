@@ -95,18 +95,18 @@ def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:
     if roles.speed is None and roles.phase is None:
         return
     rpm = signals.rpm(at_s)
-    share, rest = OVERSPEED
-    yield Distance("overspeed", "speed", abs(rpm), limits.speed_rpm * (1 + share) + rest, "rpm")
+    share, least = OVERSPEED
+    yield Distance("overspeed", "speed", abs(rpm), limits.speed_rpm * (1 + share) + least, "rpm")
     if roles.speed is not None:
         drive = signals.by_name["drive"]
         actual, before = drive.last(at_s), drive.last(at_s - _SPAN_S)
         allowed = float(np.nanmax([0.0, abs(signals.by_name["target"].last(at_s)), abs(before)]))  # it may slow down
-        share, rest = RUNAWAY
-        yield Distance("runaway", "beyond its command", max(0.0, abs(actual) - allowed), share * allowed + rest, "rpm")
+        share, least = RUNAWAY
+        yield Distance("runaway", "beyond its command", max(0.0, abs(actual) - allowed), share * allowed + least, "rpm")
     if roles.speed is not None and roles.phase is not None:
         apart, around = _disagreement(signals, at_s)
-        share, rest = DISAGREE
-        yield Distance("speed disagreement", "drive against index marks", apart, share * around + rest, "rpm")
+        share, least = DISAGREE
+        yield Distance("speed disagreement", "drive against index marks", apart, share * around + least, "rpm")
 
 
 def _disagreement(signals: Signals, at_s: float) -> tuple[float, float]:

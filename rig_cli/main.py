@@ -106,14 +106,14 @@ def run(arguments: list[str]) -> int:
 def _answered(arguments: list[str]) -> int:
     try:
         _check_threads(os.environ.get("NUMBA_NUM_THREADS", "1"))
-        rest, level = split_log_level(arguments)
+        others, level = split_log_level(arguments)
         if level is not None:
             show_log(level)
     except RigError as error:
         notify(f"rig: {error}")
         answer.give_error(str(error), 2)
         return answer.ended(2)
-    return answer.ended(_carried_out(rest))
+    return answer.ended(_carried_out(others))
 
 
 class UnusableVariable(RigError, ValueError):
@@ -134,18 +134,18 @@ def split_log_level(arguments: Sequence[str]) -> tuple[list[str], str | None]:
     Raises:
         UnknownLevel: no level follows.
     """
-    rest, level = list[str](), None
+    others, level = list[str](), None
     words = iter(arguments)
     for word in words:
         if word == "--":
-            return [*rest, word, *words], level
+            return [*others, word, *words], level
         if word == _LOG_LEVEL:
             level = next(words, "")
         elif word.startswith(f"{_LOG_LEVEL}="):
             level = word.removeprefix(f"{_LOG_LEVEL}=")
         else:
-            rest.append(word)
-    return rest, level
+            others.append(word)
+    return others, level
 
 
 def _carried_out(arguments: list[str]) -> int:

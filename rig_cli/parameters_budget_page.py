@@ -89,10 +89,10 @@ def _print_one(console: Console, budget: Budget, level: float) -> None:
     for row in shown:
         table.add_row(*_cells(row))
     if len(rows) > len(shown):
-        rest = rows[len(shown) :]
-        sum_of = math.hypot(*(row.contribution for row in rest))
+        others = rows[len(shown) :]
+        sum_of = math.hypot(*(row.contribution for row in others))
         table.add_row(
-            Text(f"{len(rest)} more", "dim"),
+            Text(f"{len(others)} more", "dim"),
             "",
             "",
             "",
@@ -100,7 +100,7 @@ def _print_one(console: Console, budget: Budget, level: float) -> None:
             "",
             "",
             f"{sum_of:.3g}",
-            _share(sum(row.share for row in rest)),
+            _share(sum(row.share for row in others)),
         )
     console.print(table)
 

@@ -74,12 +74,12 @@ def share(text: str, where: str) -> float:
     Raises:
         RigFileError: the text has another form, or the value is not from 0 to below 1.
     """
-    number, percent, rest = text.strip().partition("%")
+    number, percent, after = text.strip().partition("%")
     try:
         value = float(number) / (100.0 if percent else 1.0)
     except ValueError:  # usual: reported below
         value = float("nan")
-    if rest or not 0 <= value < 1:
+    if after or not 0 <= value < 1:
         raise RigFileError(f"{where} expected a share such as 0.1% or 0.001, got {text!r}")
     return value
 

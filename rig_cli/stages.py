@@ -42,11 +42,11 @@ class _Stages:
         with self._changed:
             while True:
                 printed_s = streams.last_output_s()
-                rest_s = max(printed_s, self._quiet_since_s) + _QUIET_S - time.monotonic()
+                left_s = max(printed_s, self._quiet_since_s) + _QUIET_S - time.monotonic()
                 if not self._text or printed_s > self._began_s:  # nothing to print until the next stage
                     self._changed.wait()
-                elif rest_s > 0:
-                    self._changed.wait(rest_s)
+                elif left_s > 0:
+                    self._changed.wait(left_s)
                 else:
                     sys.stderr.write(f"{self._command}: {self._text} …\n")
                     self._text = ""

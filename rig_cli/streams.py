@@ -90,10 +90,10 @@ class MessageStream(io.TextIOBase):
     def _write_texts(self) -> None:
         """Write to the descriptor itself: a lock of another stream would be held with the terminal."""
         while (text := self._texts.get()) is not None:
-            rest = memoryview(text.encode(self._encoding, errors="replace"))
-            while rest:
+            tail = memoryview(text.encode(self._encoding, errors="replace"))
+            while tail:
                 try:
-                    rest = rest[os.write(self._descriptor, rest) :]
+                    tail = tail[os.write(self._descriptor, tail) :]
                 except BlockingIOError:  # usual: the descriptor is non-blocking and full
                     select.select([], [self._descriptor], [], _RETRY_S)
                 except OSError:  # usual: the disk is full, or the terminal or the reader is gone

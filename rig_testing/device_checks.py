@@ -50,7 +50,7 @@ def check_settings(subject: Subject) -> str:
     need(again == settings, f"settings: {settings!r} became {again!r} through JSON, the format of a log")
     line: Any = driver.line(settings)
     need(isinstance(line, DeviceLine), f"line: expected a Line, got {line!r}")
-    need(driver.rest_s > 0, f"rest_s: expected a time above 0 s, got {driver.rest_s}")
+    need(driver.pause_s > 0, f"pause_s: expected a time above 0 s, got {driver.pause_s}")
     unknown = driver.claims - set(CLAIMS)
     need(not unknown, f"claims: {', '.join(sorted(unknown))} unknown, expected some of {', '.join(CLAIMS)}")
     return ""
@@ -272,7 +272,7 @@ def check_played(subject: Subject) -> str:
         raise Failed(f"played: the stand-in does not answer as the device did: {error}") from error
     json.dumps(identity)
     need(stand_in.sending, f"played: it does not send after its opening; it expects {stand_in.expects!r}")
-    data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.rest()
+    data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.remainder()
     came = b"".join(data for direction, data, _ in tape.reads if direction == RX)
     need(stand_in.withheld_bytes == 0, f"played: {number_of(stand_in.withheld_bytes, 'byte')} of the log withheld")
     need(len(data) >= len(came), f"played: {number_of(len(data), 'byte')} of {len(came)}")

@@ -35,7 +35,7 @@ def _check_sensor(subject: Subject, role: DisplacementSensor) -> str:
     value, rate = (0, 4) if role.axis == "x" else (1, 5)
     time_s, measured = _samples(subject, role.topic, "displacement_m")
     true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)
-    gain, late_s, rest = _fit(measured, true, speed)
+    gain, late_s, residual = _fit(measured, true, speed)
     allowed = 3 * role.gain_std + 0.003
     need(
         abs(gain - 1) < allowed,
@@ -43,7 +43,7 @@ def _check_sensor(subject: Subject, role: DisplacementSensor) -> str:
         "sign, scale and lever_ratio",
     )
     need(abs(late_s) < _LATE_S, f"{role.topic}: its times are {late_s * 1e3:.1f} ms off")
-    spread = float(np.std(rest))
+    spread = float(np.std(residual))
     limit = 3 * NOISE_M / role.lever_ratio + 2 * role.range_m / 2**14 / role.lever_ratio
     need(spread < limit, f"{role.topic}: {spread * 1e6:.1f} µm apart from the motion, expected {limit * 1e6:.1f} µm")
     return f"gain {gain:.4f}, {late_s * 1e3:+.2f} ms, {spread * 1e6:.1f} µm"
@@ -59,10 +59,10 @@ def check_angles(subject: Subject) -> str:
         time_s, measured = _samples(subject, role.topic, field)
         true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)
         need(float(np.ptp(true)) > 0.2, f"{field}: the simulated pendulum did not move")
-        gain, late_s, rest = _fit(measured, true, speed)
+        gain, late_s, residual = _fit(measured, true, speed)
         need(abs(gain - 1) < 0.02, f"{field}: {gain:.4f} times the pendulum's angle, expected 1: sign and counts")
         need(abs(late_s) < _LATE_S, f"{field}: its times are {late_s * 1e3:.1f} ms off")
-        spread = float(np.std(rest))
+        spread = float(np.std(residual))
         need(spread < 3 * role.step_rad, f"{field}: {spread / role.step_rad:.1f} counts apart from the pendulum")
         zero = abs(math.remainder(float(np.median(measured - true)), 2 * math.pi))
         need(zero < 0.05, f"{field}: zero is off by {math.degrees(zero):.2f}°")

@@ -126,10 +126,10 @@ class LockstepStage:
         turn_s: range of the random intervals at which the adapters deliver received data, s.
     """
 
-    def __init__(self, rig: Rig, turn_s: tuple[float, float]) -> None:
+    def __init__(self, rig: Rig, step_s: tuple[float, float]) -> None:
         self._sim = LockstepRig(rig)
         self._kept = _Kept(self._sim.far.motion)
-        self._sim.turn_s = turn_s
+        self._sim.step_s = step_s
         self.clock: SimulatedClock = self._sim.clock
         self.edge: Edge = self._sim.edge
 
@@ -151,7 +151,7 @@ class LockstepStage:
 
     def end(self) -> TrueMotion:
         """See Stage."""
-        self._sim.turn_s = _COARSE_S
+        self._sim.step_s = _COARSE_S
         self.clock.wait(AFTER_S)
         time_s, rows = self._kept.arrays()
         zero_ns = self.clock.now_ns() - round(self.clock.passed_s() * 1e9)

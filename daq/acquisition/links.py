@@ -103,7 +103,7 @@ class Links:
         driver = self._devices[name].driver
         counts = "counts exactly" in driver.claims
         restart = partial(self._restart_decoding, name)
-        return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm, restart)
+        return DeviceReader(name, link, self._clock, driver.pause_s, lambda: counts and self._core.calm, restart)
 
     def __bool__(self) -> bool:
         return bool(self._readers)

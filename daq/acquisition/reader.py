@@ -1,6 +1,6 @@
-"""Reading of one device: its link, the turns that take its bytes, and the thread that runs them.
+"""Reading of one device: its link, the waits after which its bytes are taken, and the thread that carries them out.
 
-The turns (`DeviceReader.turns`) are a generator that does not wait; it yields the waits. A thread carries them out in
+`DeviceReader.waits` is a generator that does not wait itself; it yields the waits. A thread carries them out in
 real time. A link of a simulated rig (`FollowedLink`) carries them out in simulated time.
 """
 
@@ -22,11 +22,11 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_NEXT_S = 0.005  # wait for the next arrival after a rest, s
+_NEXT_S = 0.005  # wait for the next arrival after a pause, s
 _MAX_QUICK = 8  # consecutive arrivals within `_NEXT_S` after which a device no longer counts as sparse
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024  # smallest array that glibc takes directly from the system
-_CALM_REST_S = 0.04  # least rest if no interlock waits for the bytes, s
+_CALM_PAUSE_S = 0.04  # least pause if no interlock waits for the bytes, s
 _WAIT_S = 0.1  # longest wait for bytes, after which the thread checks whether to end; s
 
 Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
@@ -45,7 +45,7 @@ class Read:
 
 
 @dataclass(frozen=True)
-class Rest:
+class Pause:
     """Let bytes accumulate.
 
     Attributes:
@@ -55,7 +55,7 @@ class Rest:
     seconds: float
 
 
-Turns = Generator[Read | Rest, bytes, None]
+Waits = Generator[Read | Pause, bytes, None]
 """Generator that yields waits and receives their bytes. LinkLost is thrown into it if the link is lost."""
 
 
@@ -63,8 +63,8 @@ Turns = Generator[Read | Rest, bytes, None]
 class FollowedLink(Protocol):
     """A link that carries out the waits of a reader itself."""
 
-    def follow(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
-        """Start the turns. An exception of the turns ends them and is passed to `failed`."""
+    def follow(self, waits: Waits, failed: Callable[[Exception], None]) -> None:
+        """Start the waits. An exception of the generator ends them and is passed to `failed`."""
         ...
 
 
@@ -84,18 +84,18 @@ def keep_heap_whole() -> None:
 
 
 class _Sparse:
-    """Detects devices that send so rarely that each arrival gets a turn without a rest."""
+    """Detects devices that send so rarely that each arrival is taken without a pause."""
 
     def __init__(self) -> None:
         self._is_sparse, self._quick, self._last_s = False, 0, -math.inf
 
     def arrived(self, is_isolated: bool, has_bytes: bool, now_s: float) -> bool:
-        """Register a turn and return whether the device is sparse.
+        """Register an arrival and return whether the device is sparse.
 
         Args:
-            is_isolated: whether no bytes followed the bytes that arrived during the rest.
+            is_isolated: whether no bytes followed the bytes that arrived during the pause.
             has_bytes: whether bytes have arrived.
-            now_s: time of the turn, s; it never steps.
+            now_s: its time, s; it never steps.
         """
         if is_isolated:
             self._is_sparse, self._quick = True, 0
@@ -113,8 +113,8 @@ class DeviceReader:
         name: name of the device in the rig file.
         link: the open link.
         clock: host clock for the time stamps of arrivals.
-        rest_s: rest between two turns, s. The cost of a turn depends on the wake-up, not on the number of bytes.
-        calm: returns whether no interlock waits for the device's samples, so that the rest may be longer.
+        pause_s: pause between two reads, s. The cost of a read depends on the wake-up, not on the number of bytes.
+        calm: returns whether no interlock waits for the device's samples, so that the pause may be longer.
         restart_decoding: see Talk.
 
     Attributes:
@@ -131,7 +131,7 @@ class DeviceReader:
         name: str,
         link: Link,
         clock: HostClock,
-        rest_s: float = 0.01,
+        pause_s: float = 0.01,
         calm: Callable[[], bool] = bool,
         restart_decoding: Callable[[], None] = lambda: None,
     ) -> None:
@@ -145,7 +145,7 @@ class DeviceReader:
         self.restart_decoding: Callable[[], None] = restart_decoding
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # sent but not yet taken, each with its host time
-        self._rest_s, self._calm = rest_s, calm
+        self._pause_s, self._calm = pause_s, calm
         self._ending = False
         self._thread: threading.Thread | None = None
 
@@ -175,51 +175,51 @@ class DeviceReader:
             fail: called once, with the error of a lost link or an exception of `take`.
         """
         self.heard_s = self.clock.now_s()
-        turns = self.turns(take)
+        waits = self.waits(take)
 
         def failed(error: Exception) -> None:
             if not self._ending:
                 fail(error)
 
         if isinstance(self.link, FollowedLink):
-            self.link.follow(turns, failed)
+            self.link.follow(waits, failed)
             return
-        self._thread = threading.Thread(target=self._run, args=(turns, failed), name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(waits, failed), name=self.name, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End the turns and close the link."""
+        """End the waits and close the link."""
         self._ending = True
         if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)
         self.link.close()
 
-    def _run(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
+    def _run(self, waits: Waits, failed: Callable[[Exception], None]) -> None:
         try:
-            self._wait_for(turns)
+            self._wait_for(waits)
         except Exception as error:
             failed(error)
 
-    def _wait_for(self, turns: Turns) -> None:
-        wanted = next(turns)
+    def _wait_for(self, waits: Waits) -> None:
+        wanted = next(waits)
         while not self._ending:
-            if isinstance(wanted, Rest):
+            if isinstance(wanted, Pause):
                 self.clock.wait(wanted.seconds)
-                wanted = turns.send(b"")
+                wanted = waits.send(b"")
                 continue
             try:
                 data = self.link.read(wanted.seconds)
             except LinkLost as error:
-                turns.throw(error)
+                waits.throw(error)
                 raise
-            wanted = turns.send(data)
+            wanted = waits.send(data)
 
-    def turns(self, take: Take) -> Turns:
-        """Take bytes at the end of every rest, with the arrival time of the last byte.
+    def waits(self, take: Take) -> Waits:
+        """Take bytes at the end of every pause, with the arrival time of the last byte.
 
-        Bytes that arrived during a rest are not stamped when they are read, since that time is late by an unknown part
-        of the rest. They are taken with the next arrival, for which the turn waits up to `_NEXT_S`. If no bytes follow,
-        the device sends single messages, and there is no rest until arrivals follow each other quickly again.
+        Bytes that arrived during a pause are not stamped when they are read, since that time is late by an unknown part
+        of the pause. They are taken with the next arrival, for which the reader waits up to `_NEXT_S`. If no bytes
+        follow, the device sends single messages, and there is no pause until arrivals follow each other quickly again.
         """
         rested, sparse = b"", _Sparse()
         while True:
@@ -233,7 +233,7 @@ class DeviceReader:
                 self._arrived(rested + data, take)
                 is_isolated, rested = bool(rested) and not data, b""  # cleared here: the bytes must not be taken twice
                 if not sparse.arrived(is_isolated, bool(data), self.clock.now_s()):
-                    yield Rest(max(self._rest_s, _CALM_REST_S) if self._calm() else self._rest_s)
+                    yield Pause(max(self._pause_s, _CALM_PAUSE_S) if self._calm() else self._pause_s)
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:

@@ -58,12 +58,12 @@ def first_extreme(seen: Mapping[str, ObservedDisplacement]) -> Tap | None:
     for topic, one in seen.items():
         good = np.isfinite(one.value_m)
         time, value = one.time_s[good], one.value_m[good]
-        rest = value[time < time[0] + _BEFORE_S] if len(time) else value
-        if len(rest) < 2:
+        still = value[time < time[0] + _BEFORE_S] if len(time) else value
+        if len(still) < 2:
             continue
-        away = value - np.median(rest)
+        away = value - np.median(still)
         moved[topic] = time, away
-        beyond = np.flatnonzero(np.abs(away) > max(_LEAST_M, _NOISES * float(np.ptp(rest))))
+        beyond = np.flatnonzero(np.abs(away) > max(_LEAST_M, _NOISES * float(np.ptp(still))))
         if len(beyond):
             begins.append((float(time[beyond[0]]), topic))
     if not begins:

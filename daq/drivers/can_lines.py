@@ -199,7 +199,7 @@ class BothWays(BytesFromDevice):
         )
 
     @override
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         return b""
 
 

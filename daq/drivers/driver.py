@@ -142,7 +142,7 @@ class Driver:
             raises LogError if the identity is impossible for such a device.
         code_meaning: returns the meaning of a code in the channel's field `code`, which some sensors send in place of
             a value, for example without a target: a short clause; empty if it is unknown.
-        rest_s: longest pause of the reader between two reads, s; short if samples get the host's time.
+        pause_s: longest pause of the reader between two reads, s; short if samples get the host's time.
         by_radio: whether the samples come by radio, where a small share of them is lost on a healthy rig.
         claims: keys of CLAIMS.
         measured: keys of the identity whose values are measured: they differ each time the same device is opened.
@@ -178,7 +178,7 @@ class Driver:
     checks: Callable[[Any, Any, SpeedControl | None, Sequence[DeviceEvent]], Checks] = _no_checks
     played: Callable[[Any, Mapping[str, Any]], PlayedDevice] = _bytes_of_log
     code_meaning: Callable[[int], str] = _unknown_code
-    rest_s: float = 0.01
+    pause_s: float = 0.01
     by_radio: bool = False
     claims: frozenset[str] = frozenset()
     measured: frozenset[str] = frozenset()

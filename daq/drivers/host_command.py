@@ -242,15 +242,15 @@ class HostCommand(SpeedControl):
         """Return whether a stop must be commanded and awaited."""
         return self._ordered or bool(self._report_ns and not self._guarded.at_rest())
 
-    def _confirm(self, order: Callable[[], Callable[[], bool]]) -> bool:
+    def _confirm(self, command: Callable[[], Callable[[], bool]]) -> bool:
         """Repeat a command until it is confirmed; return whether it was.
 
         Args:
-            order: sends the command, and returns a function that returns whether it was confirmed since.
+            command: sends the command, and returns a function that returns whether it was confirmed since.
         """
         deadline = self._clock.now_s() + _CONFIRM_S
         while self._clock.now_s() < deadline:
-            confirmed, again = order(), self._clock.now_s() + REPEAT_S
+            confirmed, again = command(), self._clock.now_s() + REPEAT_S
             while self._clock.now_s() < again:
                 if confirmed():
                     return True

@@ -172,7 +172,7 @@ class LinePipeline(Pipeline):
         self._channel = sensor.channel(settings)
         self._count, self._parse, self._longest = sensor.count, sensor.parse, sensor.longest
         self._received, self._heard = b"", False
-        self._order = NumberedStream[list[Reading]](sensor.count, chained)
+        self._numbered = NumberedStream[list[Reading]](sensor.count, chained)
         self._times = Unwrap(sensor.count.clock_size or 2**62)
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
 
@@ -188,9 +188,9 @@ class LinePipeline(Pipeline):
         if direction == TX:
             return []
         if not data:
-            return [item for stretch in self._order.end() for item in self._placed(stretch)]
-        *lines, rest = (self._received + data).split(b"\n")
-        self._received = rest[: self._longest + 2]  # a longer one is damaged
+            return [item for stretch in self._numbered.end() for item in self._placed(stretch)]
+        *lines, tail = (self._received + data).split(b"\n")
+        self._received = tail[: self._longest + 2]  # a longer one is damaged
         out: Items = []
         readings: list[Reading] = []
         for line in lines:
@@ -205,7 +205,7 @@ class LinePipeline(Pipeline):
         if readings:
             numbers, times = (np.array([getattr(each, name) for each in readings]) for name in ("number", "time"))
             clock = times if self._count.clock_size else None
-            out += [i for found in self._order.feed(numbers, readings, host_ns, clock) for i in self._placed(found)]
+            out += [i for found in self._numbered.feed(numbers, readings, host_ns, clock) for i in self._placed(found)]
         return out
 
     def _placed(self, stretch: Stretch[list[Reading]]) -> Items:
@@ -256,8 +256,8 @@ class _Console:
 
     def hear(self, data: bytes) -> bytes:
         """Take bytes that may be cut anywhere; return the answers."""
-        *lines, rest = (self._received + data).split(b"\n")
-        self._received = rest[-max(map(len, (self._start, self._stop, self._identify))) - 1 :]
+        *lines, tail = (self._received + data).split(b"\n")
+        self._received = tail[-max(map(len, (self._start, self._stop, self._identify))) - 1 :]
         self.count += len(lines)
         out = b""
         for line in filter(None, lines):

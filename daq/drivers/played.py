@@ -21,7 +21,7 @@ class BytesFromDevice(Protocol):
         """Return the bytes to play for recorded bytes of one direction."""
         ...
 
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         """Return the remaining bytes to play at the end of the log."""
         ...
 
@@ -34,7 +34,7 @@ class OneWay(BytesFromDevice):
         return data if direction == RX else b""
 
     @override
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         return b""
 
 
@@ -77,9 +77,9 @@ class PlayedDevice:
         """Return the bytes to send now for bytes of the log. An answer may be inserted between two calls."""
         return self._pass(self._source.feed(direction, data))
 
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         """Return the remaining bytes to send at the end of the log."""
-        return self._pass(self._source.rest())
+        return self._pass(self._source.remainder())
 
     def _pass(self, data: bytes) -> bytes:
         if self.sending:

@@ -67,13 +67,13 @@ def ask(
 _TRY_S, _QUIET_S = 1.0, 0.1  # seconds
 
 
-def stop_stream(talk: Talk, order: bytes) -> bool:
+def stop_stream(talk: Talk, command: bytes) -> bool:
     """Send a device the command that stops its stream, up to three times.
 
     A host that was killed leaves its sensor streaming. The bytes of that stream do not belong to the new recording.
 
     Args:
-        order: bytes of the stop command.
+        command: bytes of the stop command.
 
     Returns:
         Whether the line has become silent.
@@ -83,7 +83,7 @@ def stop_stream(talk: Talk, order: bytes) -> bool:
     """
     clock = talk.clock
     for _ in range(TRIES):
-        talk.send(order)
+        talk.send(command)
         count, since = talk.bytes_in, clock.now_s()
         deadline = since + _TRY_S
         while clock.now_s() < deadline:

@@ -73,14 +73,14 @@ _NOTIFY_EVERY_S = 2.0  # s between two texts about the wait
 
 
 def wait_for_rest(
-    clock: HostClock, rotor: RotorGuard, order: Callable[[], None], notify: Callable[[str], None]
+    clock: HostClock, rotor: RotorGuard, command: Callable[[], None], notify: Callable[[str], None]
 ) -> bool:
     """Command a stop, and repeat it until the rotor stands.
 
     Args:
         clock: clock for the waits.
         rotor: source of whether the rotor stands, and of its speed.
-        order: sends the stop command; it is sent once even if the rotor stands, because it may have a target speed.
+        command: sends the stop command; it is sent once even if the rotor stands, because it may have a target speed.
         notify: called with a text about what is being waited for.
 
     Returns:
@@ -90,19 +90,19 @@ def wait_for_rest(
     Raises:
         LinkLost: commands cannot be sent any more.
     """
-    begun = slower = notified = next_order = clock.now_s()
+    begun = slower = notified = next_s = clock.now_s()
     least, failures = math.inf, 0
     while True:
         now = clock.now_s()
-        if now >= next_order:
-            next_order = now + REPEAT_S
+        if now >= next_s:
+            next_s = now + REPEAT_S
             try:
-                order()
+                command()
             except LinkLost:  # one frame was not accepted, or the line is lost
                 failures += 1
                 if failures > _MAX_SEND_FAILURES:
                     raise
-                next_order = now + _RETRY_S
+                next_s = now + _RETRY_S
         rest, speed = rotor.at_rest(), rotor.speed_rpm()
         if rest:
             return True

@@ -76,7 +76,7 @@ class RepeatedCommand(HostCommand):
     # --- what a subclass defines ----------------------------------------------------------------------------------
 
     @abstractmethod
-    def _order(self, rpm: float) -> bytes:
+    def _speed_command(self, rpm: float) -> bytes:
         """Encode the command of the present mode, with the ramp's set-point, rpm. The caller holds both locks."""
 
     @abstractmethod
@@ -135,7 +135,7 @@ class RepeatedCommand(HostCommand):
             return b""
         self._ordered = True
         self._ordered_ns = self._ordered_ns or now_ns
-        return self._order(self._ramp.at(now_ns * 1e-9) if self.mode is Mode.SPEED else 0.0)
+        return self._speed_command(self._ramp.at(now_ns * 1e-9) if self.mode is Mode.SPEED else 0.0)
 
     def _begin(self, mode: Mode) -> None:
         """Set a new mode, which is sent at the next beat; the caller holds the lock `_deciding`."""

@@ -63,18 +63,18 @@ def refuse_mat_bomb(path: Path) -> None:
             file.seek(at)
             return file.read(size)
 
-        order = {b"IM": "<", b"MI": ">"}.get(read(126, 2))
-        if order is None:
+        sign = {b"IM": "<", b"MI": ">"}.get(read(126, 2))
+        if sign is None:
             return  # version 4 has neither cells nor compression
         at = 128
         while len(tag := read(at, 8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
+            kind, size = struct.unpack(f"{sign}II", tag)
             if kind == _COMPRESSED:
                 content = _unpacked(path, read, at + 8, size, unpacked)
                 unpacked += len(content)
-                claimed += _claims(path, lambda at, size, of=content: bytes(of[at : at + size]), order, 0, _MAX_BYTES)
+                claimed += _claims(path, lambda at, size, of=content: bytes(of[at : at + size]), sign, 0, _MAX_BYTES)
             elif kind == _MATRIX:
-                claimed += _claims(path, read, order, at, at + 8 + size)
+                claimed += _claims(path, read, sign, at, at + 8 + size)
             refuse_bomb(path, "", claimed)
             at += 8 + size
 
@@ -96,12 +96,12 @@ def _unpacked(path: Path, read: _Read, at: int, size: int, before: int) -> bytea
     return content
 
 
-def _claims(path: Path, read: _Read, order: str, at: int, end: int) -> int:
+def _claims(path: Path, read: _Read, sign: str, at: int, end: int) -> int:
     """Return the memory that a matrix and its contents need according to their heads, bytes.
 
     Args:
         path: the file, for messages.
-        read, order: reads the bytes with the matrix; sign of their byte order.
+        read, sign: reads the bytes with the matrix; sign of their byte order.
         at, end: place of the matrix and its largest end.
 
     Raises:
@@ -114,7 +114,7 @@ def _claims(path: Path, read: _Read, order: str, at: int, end: int) -> int:
         if at + 8 > here[0] or len(tag := read(at, 8)) < 8:
             inside.pop()
             continue
-        kind, size = struct.unpack(f"{order}II", tag)
+        kind, size = struct.unpack(f"{sign}II", tag)
         at += 8
         if kind >> 16:  # a short element holds its data in the tag
             kind, size = kind & 0xFFFF, 0
@@ -133,6 +133,6 @@ def _claims(path: Path, read: _Read, order: str, at: int, end: int) -> int:
         if kind == _INT32 and here[1] == 2 and len(inside) > 1 and size <= 4 * _MAX_DIMENSIONS:
             dimensions = read(at, size)
             whole = dimensions[: len(dimensions) // 4 * 4]
-            claimed += 8 * math.prod(max(0, each) for (each,) in struct.iter_unpack(f"{order}i", whole))
+            claimed += 8 * math.prod(max(0, each) for (each,) in struct.iter_unpack(f"{sign}i", whole))
         at += padded
     return claimed

@@ -171,12 +171,12 @@ def sniff(path: Path, decimal: str | None = None) -> Dialect:
     encoding = _encoding(path)
     lines = _sample(path, encoding)
     best: tuple[tuple[float, int, int], Dialect] | None = None
-    for order, (delimiter, sign) in enumerate(_DIALECTS):
+    for place, (delimiter, sign) in enumerate(_DIALECTS):
         if decimal not in (None, sign):
             continue
         dialect = Dialect(encoding, delimiter, sign, (), 1, stated=decimal is not None)
         share, width = _fit(dialect, lines)
-        score = (round(share, 2), width, -order)
+        score = (round(share, 2), width, -place)
         if share > 0 and (best is None or score > best[0]):
             best = score, dialect
     if best is None:

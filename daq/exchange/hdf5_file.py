@@ -94,11 +94,11 @@ class _Disk(io.RawIOBase):
 
     def write(self, data: Any) -> int:
         """Write all data, or store the error."""
-        rest = memoryview(data).cast("B")
-        size = len(rest)
+        tail = memoryview(data).cast("B")
+        size = len(tail)
         try:
-            while len(rest) and self._fault is None:
-                rest = rest[self._file.write(rest) or 0 :]
+            while len(tail) and self._fault is None:
+                tail = tail[self._file.write(tail) or 0 :]
         except OSError as fault:
             self._fault = fault
         return size

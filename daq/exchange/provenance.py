@@ -15,8 +15,8 @@ from daq.version import software_version
 
 def iso_time(time_ns: int) -> str:
     """Format a time in ns since 1970 as ISO 8601 text in UTC, to the microsecond."""
-    seconds, rest = divmod(time_ns, 1_000_000_000)
-    return datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000).isoformat()
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return datetime.fromtimestamp(seconds, UTC).replace(microsecond=nanoseconds // 1000).isoformat()
 
 
 def log_facts(log: Log) -> dict[str, Any]:

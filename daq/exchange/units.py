@@ -208,8 +208,8 @@ def unit_word(cell: str) -> str | None:
 def is_unit_row(cells: Sequence[str]) -> bool:
     """Return True if cells are units of the columns: each a unit or empty, at least one a known unit."""
     known = [unit_word(cell) is not None for cell in cells]
-    rest = (_bare(cell).lower() for cell, is_known in zip(cells, known, strict=True) if not is_known)
-    return any(known) and all(word in _OTHERS or word in _NONE for word in rest)
+    others = (_bare(cell).lower() for cell, is_known in zip(cells, known, strict=True) if not is_known)
+    return any(known) and all(word in _OTHERS or word in _NONE for word in others)
 
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from typing_extensions import override
 
-from daq.acquisition.reader import Rest, Turns
+from daq.acquisition.reader import Pause, Waits
 from daq.errors import LinkLost
 from daq.lockstep.clock import SimulatedClock
 from daq.transports.link import Link
@@ -102,7 +102,7 @@ class LockstepLink(Link):
         self.name: str = cable.port
         self._cable = cable
         self._buffer = bytearray()
-        self._turns: Turns | None = None
+        self._waits: Waits | None = None
         self._failed: Callable[[Exception], None] = lambda error: None
         self._lost = self._closed = False
         self._reading = 0  # number of the present wait for bytes; 0 if there is none
@@ -130,9 +130,9 @@ class LockstepLink(Link):
         if self._cable.link is self:
             self._cable.link = None
 
-    def follow(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
+    def follow(self, waits: Waits, failed: Callable[[Exception], None]) -> None:
         """See FollowedLink."""
-        self._turns, self._failed = turns, failed
+        self._waits, self._failed = waits, failed
         self._go(None)
 
     def arrive(self, data: bytes) -> int:
@@ -168,17 +168,17 @@ class LockstepLink(Link):
 
     def _go(self, data: bytes | None) -> None:
         """Run the reader until its next wait, with the bytes of the last wait (None for its start)."""
-        turns = self._turns
-        assert turns is not None
+        waits = self._waits
+        assert waits is not None
         try:
-            wanted = next(turns) if data is None else turns.send(data)
-            while not isinstance(wanted, Rest):
+            wanted = next(waits) if data is None else waits.send(data)
+            while not isinstance(wanted, Pause):
                 if self._buffer:  # bytes that arrived before the loss are read first
-                    wanted = turns.send(self._taken())
+                    wanted = waits.send(self._taken())
                 elif self._lost:
-                    turns.throw(LinkLost(f"{self.name}: the other end closed. Look at cable and power"))
+                    waits.throw(LinkLost(f"{self.name}: the other end closed. Look at cable and power"))
                 elif wanted.seconds <= 0:
-                    wanted = turns.send(b"")
+                    wanted = waits.send(b"")
                 else:
                     self._wait_for_bytes(wanted.seconds)
                     return
@@ -186,7 +186,7 @@ class LockstepLink(Link):
             number = self._count
             self._cable.after(wanted.seconds + self._cable.wake_s(), lambda: self._rested(number))
         except Exception as error:
-            self._turns = None
+            self._waits = None
             if not self._closed:
                 self._failed(error)
 

@@ -136,9 +136,9 @@ class _Repeating(Repeated):
     ) -> None:
         self._clock, self._period_s, self._do, self._failed = clock, period_s, do, failed
         self._ended = False
-        clock.after(period_s, self._turn)
+        clock.after(period_s, self._act)
 
-    def _turn(self) -> None:
+    def _act(self) -> None:
         if self._ended:
             return
         try:
@@ -147,7 +147,7 @@ class _Repeating(Repeated):
             self._ended = True
             self._failed(error)
             return
-        self._clock.after(self._period_s, self._turn)
+        self._clock.after(self._period_s, self._act)
 
     @override
     def stop(self, seconds: float | None = 2.0) -> None:

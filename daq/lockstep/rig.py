@@ -58,7 +58,7 @@ class LockstepRig:
         disk: the simulated disk.
         cables: cables by device.
         far: the simulated rig.
-        turn_s: see STEP_S.
+        step_s: see STEP_S.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -72,7 +72,7 @@ class LockstepRig:
             for number, name in enumerate(self.far.far_ends)
         }
         self.edge: Edge = Edge(self._connect, self._places, self.disk)
-        self.turn_s = STEP_S
+        self.step_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
         self._answer_is_due = False
         for cable in self.cables.values():
@@ -101,7 +101,7 @@ class LockstepRig:
 
     def _step(self) -> None:
         self._exchange(list(self.cables.values()))
-        self.clock.after(self._pace.uniform(*self.turn_s), self._step, world=True)
+        self.clock.after(self._pace.uniform(*self.step_s), self._step, world=True)
 
     def _answer_soon(self) -> None:
         """Schedule an exchange after a write of the host, so that answers do not wait for the next regular one."""

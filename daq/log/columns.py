@@ -156,8 +156,8 @@ class _Reading:
         entries = np.frombuffer(behind, "<i8", 2 * count, index_at)
         log_ns, offsets = entries[::2], entries[1::2]
         if (offsets[1:] < offsets[:-1]).any():
-            order = np.argsort(offsets)
-            log_ns, offsets = log_ns[order], offsets[order]
+            by_offset = np.argsort(offsets)
+            log_ns, offsets = log_ns[by_offset], offsets[by_offset]
         return offsets, self._ids[0], log_ns
 
     def _flush(self) -> None:

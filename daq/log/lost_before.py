@@ -46,14 +46,14 @@ def _shortened(places: list[Missing]) -> list[Missing]:
     """Limit the number of places to what a metadata record holds; the last ones are combined into one."""
     if len(places) <= _MOST_PLACES:
         return places
-    rest = places[_MOST_PLACES - 1 :]
-    starts, ends = [place.start_ns for place in rest], [place.end_ns for place in rest]
-    counts = [place.messages for place in rest]
+    others = places[_MOST_PLACES - 1 :]
+    starts, ends = [place.start_ns for place in others], [place.end_ns for place in others]
+    counts = [place.messages for place in others]
     together = Missing(
-        number_of(len(rest), "more place"),
+        number_of(len(others), "more place"),
         start_ns=None if None in starts else min(start for start in starts if start is not None),
         end_ns=None if None in ends else max(end for end in ends if end is not None),
-        topics=tuple(sorted({topic for place in rest for topic in place.topics})),
+        topics=tuple(sorted({topic for place in others for topic in place.topics})),
         messages=None if None in counts else sum(count for count in counts if count is not None),
     )
     return [*places[: _MOST_PLACES - 1], together]

@@ -120,15 +120,15 @@ def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
 
 def _unpack_lz4(packed: bytes | memoryview, unpacked: int) -> bytes:
     """As `_unpack_zstd`."""
-    parts, room, rest = list[bytes](), unpacked + 1, bytes(packed)
-    while rest and room:
+    parts, room, tail = list[bytes](), unpacked + 1, bytes(packed)
+    while tail and room:
         frame = lz4.frame.LZ4FrameDecompressor()
-        part = cast("bytes", cast("Any", frame).decompress(rest, max_length=room))
+        part = cast("bytes", cast("Any", frame).decompress(tail, max_length=room))
         parts.append(part)
         room -= len(part)
         if room and not frame.eof:
             raise EOFError("a frame that is not whole")
-        rest = cast("bytes | None", frame.unused_data) or b""
+        tail = cast("bytes | None", frame.unused_data) or b""
     return b"".join(parts)
 
 
@@ -181,9 +181,9 @@ class ChunkTable:
         starts = np.sort(self.start_ns)
         chunks = np.flatnonzero(np.isin(self.start_ns, starts[1:][starts[1:] == starts[:-1]]))
         columns = np.stack([self.unpacked[chunks], self.end_ns[chunks], self.start_ns[chunks]])
-        order = np.lexsort(columns)
-        other = (columns[:, order[1:]] != columns[:, order[:-1]]).any(axis=0)
-        return [group for group in np.split(chunks[order], np.flatnonzero(other) + 1) if len(group) > 1]
+        alike = np.lexsort(columns)
+        other = (columns[:, alike[1:]] != columns[:, alike[:-1]]).any(axis=0)
+        return [group for group in np.split(chunks[alike], np.flatnonzero(other) + 1) if len(group) > 1]
 
     def messages(self, chunks: NDArray[np.intp], channel_ids: Iterable[int]) -> NDArray[np.int64]:
         """Return the number of messages of some channels in each of `chunks` (ascending), shape as `chunks`."""

@@ -104,11 +104,11 @@ class TableBuilder:
         entries = np.array(self._entries, np.int64).reshape(-1, 2)
         first_entry = np.array(self._first_entry, np.int64)
         if (np.diff(rows[:, 0]) < 0).any():  # some were found later
-            order = np.argsort(rows[:, 0])
-            sizes = np.diff(first_entry)[order]
-            begins = np.repeat(first_entry[:-1][order] - np.cumsum(sizes) + sizes, sizes)
+            sorted_rows = np.argsort(rows[:, 0])
+            sizes = np.diff(first_entry)[sorted_rows]
+            begins = np.repeat(first_entry[:-1][sorted_rows] - np.cumsum(sizes) + sizes, sizes)
             entries = entries[begins + np.arange(len(begins))]
-            rows, first_entry = rows[order], np.concatenate([[0], np.cumsum(sizes)])
+            rows, first_entry = rows[sorted_rows], np.concatenate([[0], np.cumsum(sizes)])
         start, length, unpacked, bare, crc, first_log, last_log, first_publish, last_publish = (
             np.ascontiguousarray(column) for column in rows.T
         )

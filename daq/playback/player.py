@@ -218,7 +218,7 @@ class Playback:
                 self._cut_short = True
                 break
         for line in self._lines.values():
-            line.add(self._log_ns, line.device.rest())
+            line.add(self._log_ns, line.device.remainder())
         while any(line.waiting for line in self._lines.values()):
             self._turn(_TURN_S)
             report(self.state)

@@ -50,7 +50,7 @@ class Settling:
         span_s: time covered by the windows, s.
         more_s: estimated time until everything has settled, s; inf if no end can be predicted.
         approaching: True if a bounded remaining change is the only reason against.
-        rests: True if in addition the means have changed by less than the tolerances over the last window.
+        is_level: True if in addition the means have changed by less than the tolerances over the last window.
     """
 
     settled: bool
@@ -65,7 +65,7 @@ class Settling:
     mean_off_m: float = math.nan
     more_s: float = math.inf
     approaching: bool = False
-    rests: bool = False
+    is_level: bool = False
 
 
 @dataclass(frozen=True)
@@ -192,13 +192,13 @@ class _Judged:
         drift: change over the last window, of the quantity with the larger change.
         approach: the larger bound of both quantities.
         more_s: time until the remaining change is below its limit, s.
-        rests: whether that change is below the limit.
+        is_level: whether that change is below the limit.
         why: reason against, in one sentence; may be empty.
     """
 
     drift: float
     approach: Approach
-    rests: bool = True
+    is_level: bool = True
     more_s: float = 0.0
     why: str = ""
 
@@ -231,16 +231,16 @@ def _judged(
     worst = replace(worst, mean_off=max(each.mean_off for each in both))
     drift = float(np.abs(seen.means[-1] - seen.means[-2]).max())
     factor, unit = shown
-    rests = drift <= limit
+    is_level = drift <= limit
     if worst.remaining <= limit:
-        return _Judged(drift, worst, rests)
+        return _Judged(drift, worst, is_level)
     if math.isinf(worst.remaining):
         why = f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
-        return _Judged(drift, worst, rests, math.inf, why)
+        return _Judged(drift, worst, is_level, math.inf, why)
     more_s = math.log(worst.remaining / limit) / worst.rate_per_s if worst.rate_per_s > 0 else math.inf
     why = f"{what} may still change by {worst.remaining * factor:.2g}{unit}, the limit is {limit * factor:.2g}{unit}"
     return _Judged(
-        drift, worst, rests, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else "")
+        drift, worst, is_level, more_s, why + (f"; about {math.ceil(more_s)} s more" if more_s < math.inf else "")
     )
 
 
@@ -281,7 +281,7 @@ def _decision(
         mean_off_m=whirling.approach.mean_off,
         more_s=lasting if why else 0.0,
         approaching=approaching,
-        rests=approaching and angles.rests and whirling.rests,
+        is_level=approaching and angles.is_level and whirling.is_level,
     )
 
 

@@ -73,7 +73,7 @@ class LineDecoder:
         frames: list[CanFrame] = []
         other: list[str] = []
         damaged = 0
-        *pieces, rest = _LINE_END.split(self._begun + data)
+        *pieces, tail = _LINE_END.split(self._begun + data)
         for piece, end in zip(pieces[::2], pieces[1::2], strict=True):
             line = _cut(piece)
             content = _read(line, self._words)
@@ -85,7 +85,7 @@ class LineDecoder:
                 other.append(content)
             if end == b"\x07":
                 other.append(BEL)
-        self._begun = _cut(rest)
+        self._begun = _cut(tail)
         return DecodedLines(frames, other, damaged)
 
 
@@ -134,9 +134,9 @@ class HostText:
                 out.append(encode(message))
                 continue
             kind, number = message
-            orders = ["", "C", BIT_RATES[number], "O"] if kind is AdapterMessage.OPEN else ["C"]
-            self._pending += orders
-            out += [f"{order}\r".encode() for order in orders]
+            commands = ["", "C", BIT_RATES[number], "O"] if kind is AdapterMessage.OPEN else ["C"]
+            self._pending += commands
+            out += [f"{command}\r".encode() for command in commands]
         return b"".join(out)
 
     def received(self, text: bytes) -> bytes:
@@ -144,13 +144,13 @@ class HostText:
         joins = not self._joined and _LINE_END.search(text)
         cut = joins.end() if joins else 0
         self._joined = self._joined or cut > 0
-        first, rest = self._lines.feed(text[:cut]), self._lines.feed(text[cut:])
-        frames, other = first.frames + rest.frames, first.other_lines + rest.other_lines
+        first, tail = self._lines.feed(text[:cut]), self._lines.feed(text[cut:])
+        frames, other = first.frames + tail.frames, first.other_lines + tail.other_lines
         out = self._answered(other)
         if frames:
             self._pending.clear()  # the bus is open
-        if rest.damaged:
-            out += adapter_message(AdapterMessage.DAMAGED, rest.damaged)
+        if tail.damaged:
+            out += adapter_message(AdapterMessage.DAMAGED, tail.damaged)
         return out + record_of(*frames)
 
     def _answered(self, lines: list[str]) -> bytes:
@@ -178,7 +178,7 @@ class AdapterText:
         answers, out = BEL.encode() * found.damaged, b""
         for line in found.other_lines:
             if line[:1] == "S":
-                self._bitrate = next((rate for rate, order in BIT_RATES.items() if order == line), 0)
+                self._bitrate = next((rate for rate, command in BIT_RATES.items() if command == line), 0)
             if line[:1] in {"O", "C"}:
                 kind = AdapterMessage.OPEN if line[0] == "O" else AdapterMessage.CLOSE
                 out += adapter_message(kind, self._bitrate if line[0] == "O" else 0)

@@ -147,8 +147,8 @@ class NodeWatch:
             facts["maker_bytes"] = found.maker_bytes.hex(" ")
         text = f"error 0x{found.error_code:04X}"
         if not found.error_code:
-            rest = f"others remain (error register {found.error_register:02X}h)" if self.faulty else "none remains"
-            text = f"an error has ended, {rest}"
+            remaining = f"others remain (error register {found.error_register:02X}h)" if self.faulty else "none remains"
+            text = f"an error has ended, {remaining}"
         yield self._event("emergency", f"{self.name}: {text}", **facts)
 
     def _event(self, kind: str, text: str, **facts: Any) -> DeviceEvent:

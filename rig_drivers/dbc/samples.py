@@ -160,7 +160,7 @@ class LaserStream:
             return out + self._stamped(self._times, self._times_of(self._times, frames, host_ns), None)
         return out + self._batches(frames, None, host_ns)
 
-    def rest(self) -> Items:
+    def end(self) -> Items:
         """Decode the frames that still wait at the end of a log."""
         out = [] if self._frames is None else self._counted(self._frames, self._frames.end())
         return out if self._times is None else out + self._stamped(self._times, self._times.end(), self._frames)
@@ -169,31 +169,31 @@ class LaserStream:
         assert self._group.timestamp is not None
         return times.feed(_numbers(self._group.timestamp, frames.data), frames, host_ns)
 
-    def _counted(self, order: NumberedStream[Frames], found: list[Stretch[Frames]]) -> Items:
+    def _counted(self, numbered: NumberedStream[Frames], found: list[Stretch[Frames]]) -> Items:
         """Return the samples of frames that are placed by their counter."""
-        out = self._damaged(order)
+        out = self._damaged(numbered)
         for stretch in found:
             if stretch.is_restart and self._times is not None:  # frames before it whose times wait
-                out += self._stamped(self._times, self._times.end(), order)
+                out += self._stamped(self._times, self._times.end(), numbered)
             out += self._lost(stretch)
             frames = Frames(stretch.rows.data, stretch.numbers)
             if stretch.is_restart:
                 out += self._started_again()
                 self._times = None if self._group.timestamp is None else self._timing(self._group.timestamp)
             if self._times is not None:
-                out += self._stamped(self._times, self._times_of(self._times, frames, stretch.host_ns), order)
+                out += self._stamped(self._times, self._times_of(self._times, frames, stretch.host_ns), numbered)
             else:
                 own_ns = np.rint(stretch.numbers * self._period_ns).astype(np.int64)
                 out += self._batches(frames, own_ns, stretch.host_ns)
         return out
 
     def _stamped(
-        self, times: NumberedStream[Frames], found: list[Stretch[Frames]], order: NumberedStream[Frames] | None
+        self, times: NumberedStream[Frames], found: list[Stretch[Frames]], numbered: NumberedStream[Frames] | None
     ) -> Items:
         """Return the samples of frames that are placed by their timestamps, or have them besides their counter."""
         out = self._damaged(times)
         for stretch in found:
-            if order is None:
+            if numbered is None:
                 out += self._lost(stretch)
             if stretch.is_restart:
                 out += self._started_again()
@@ -239,13 +239,13 @@ class LaserStream:
         text = f"{about}{number_of(stretch.lost, 'frame')} of {self.message.name} lost ({span_s * 1e3:.2f} ms)"
         return [DeviceEvent("gap", self._device, text, facts)]
 
-    def _damaged(self, order: NumberedStream[Frames]) -> Items:
+    def _damaged(self, numbered: NumberedStream[Frames]) -> Items:
         """Count the frames that were dropped since the last call, and return their event."""
-        dropped, order.damaged = order.damaged, 0
+        dropped, numbered.damaged = numbered.damaged, 0
         if not dropped:
             return []
         self._losses["doubtful_frames"] += dropped
-        if order is self._times and self._frames is not None:  # their counter does not show that they are missing
+        if numbered is self._times and self._frames is not None:  # their counter does not show that they are missing
             self._losses["samples"] += dropped * len(self._lasers)
         text = f"{number_of(dropped, 'frame')} of {self.message.name} dropped: their number or time cannot be right"
         return [DeviceEvent("damage", self._device, text, {"frames": dropped})]

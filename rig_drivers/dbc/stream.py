@@ -57,7 +57,7 @@ class CanPipeline(Pipeline):
         if direction == TX:
             return []
         if not data:
-            return [item for laser in self._lasers for item in laser.rest()]
+            return [item for laser in self._lasers for item in laser.end()]
         rows, events = self._lines.received_rows(data)
         out: Items = [*events]
         if not len(rows):  # answers of the adapter do not show that the bus carries frames

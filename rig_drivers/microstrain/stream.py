@@ -70,7 +70,7 @@ class MicroStrainPipeline(Pipeline):
         self._period_ns = 1e9 / settings.rate_Hz
         clock = (wire.MAX_TIME_NS, self._period_ns, round(_MAX_LATE_S * settings.rate_Hz))
         count = Count(_TICKS, self._period_ns, 1.0, *clock, look_ahead_ns=_LOOK_AHEAD_NS)
-        self._order = NumberedStream[Rows](count, np.concatenate)
+        self._numbered = NumberedStream[Rows](count, np.concatenate)
         self._newest: tuple[int, int] | None = None  # time of the beacon, and arrival, of the newest sample, ns
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         known = identity.get(BEACON_LAG)
@@ -105,7 +105,7 @@ class MicroStrainPipeline(Pipeline):
             out.append(self.skipped_bytes(found.skipped_bytes, "intact packet"))
         for packet in found.packets:
             out += self._packet(packet, host_ns)
-        out += self._placed(self._order.at(host_ns) if data else self._order.end())
+        out += self._placed(self._numbered.at(host_ns) if data else self._numbered.end())
         if self._switched_on_ns is not None and host_ns - self._switched_on_ns > _START_NS:
             self._set_up_lost = "the node was switched on and does not sample"
         return out + self._run_ended()
@@ -221,7 +221,7 @@ class MicroStrainPipeline(Pipeline):
         rows["ns"] = sweeps.time_ns + np.rint(np.arange(len(rows)) * self._period_ns).astype(np.int64)
         rows["values"] = sweeps.values[:, columns]
         numbers = (sweeps.tick + np.arange(len(rows))) % _TICKS
-        return self._placed(self._order.feed(numbers, rows, host_ns, rows["ns"]))
+        return self._placed(self._numbered.feed(numbers, rows, host_ns, rows["ns"]))
 
     def _placed(self, stretches: Sequence[Stretch[Rows]]) -> Items:
         return [item for stretch in stretches for item in self._stretch(stretch)]

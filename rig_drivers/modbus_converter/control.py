@@ -14,7 +14,7 @@ from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 from rig_basics.ignoring import ignoring
 from rig_drivers.modbus_converter import registers, wire
-from rig_drivers.modbus_converter.line import Order, RequestLine
+from rig_drivers.modbus_converter.line import QueuedRequest, RequestLine
 from rig_drivers.modbus_converter.settings import ModbusConverter
 from rig_drivers.modbus_converter.stream import ConverterPipeline, Report
 
@@ -104,7 +104,9 @@ class ConverterControl(HostCommand):
         """Return the request that sets a ramp or the watchdog, without a write to the converter's EEPROM."""
         return self._write(register + self._registers.write_offset, value)
 
-    def _confirmed(self, requests: Sequence[wire.Request], check: Callable[[], None] = lambda: None) -> list[Order]:
+    def _confirmed(
+        self, requests: Sequence[wire.Request], check: Callable[[], None] = lambda: None
+    ) -> list[QueuedRequest]:
         """Send requests and wait for their answers.
 
         Args:
@@ -117,28 +119,28 @@ class ConverterControl(HostCommand):
         """
         with self._deciding:
             check()
-            orders = self._line.put(requests)
+            queued = self._line.put(requests)
         deadline = self._clock.now_s() + _CONFIRM_S
         try:
-            while waiting := [order for order in orders if order.answer is None]:
+            while waiting := [one for one in queued if one.answer is None]:
                 with self._deciding:
                     check()
                 if self._clock.now_s() > deadline:
                     raise DeviceError(f"drive: no answer to {waiting[0].request.words}. Look at its power and its line")
                 self._pass()
         finally:
-            self._line.drop(orders)
-        for order in orders:
-            assert order.answer is not None
-            if order.answer.exception:
-                raise DeviceError(f"drive: it refuses {order.request.words}: {order.answer.refusal}")
-        return orders
+            self._line.drop(queued)
+        for one in queued:
+            assert one.answer is not None
+            if one.answer.exception:
+                raise DeviceError(f"drive: it refuses {one.request.words}: {one.answer.refusal}")
+        return queued
 
     def _read(self, register: int) -> int:
         request = wire.Request(self._settings.address, self._registers.read_function, register, 1)
-        (order,) = self._confirmed([request])
-        assert order.answer is not None
-        return order.answer.registers[0]
+        (one,) = self._confirmed([request])
+        assert one.answer is not None
+        return one.answer.registers[0]
 
     @override
     def beat(self) -> None:
@@ -321,11 +323,11 @@ class ConverterControl(HostCommand):
         def is_off() -> bool:
             return self._reports > reports and self.state not in (registers.RUNNING, registers.UNKNOWN)
 
-        def order() -> Callable[[], bool]:
+        def command() -> Callable[[], bool]:
             self._line.put([self._write(r.control, r.stop), self._write(r.reference, 0)], urgent=True)
             return is_off
 
-        if self._confirm(order):
+        if self._confirm(command):
             return ""
         known = {registers.UNKNOWN: UNCONFIRMED, registers.RUNNING: _DISOBEYS}
         return known.get(self.state, f"its state is {self.state}. {_REMEDY}")

@@ -23,7 +23,7 @@ _SHORTEST_PAUSE_S = 0.00175  # between two frames, s: the standard's value above
 _PAUSE_BITS = 3.5 * 11
 
 
-class Order:
+class QueuedRequest:
     """A request that waits for its answer.
 
     Attributes:
@@ -68,8 +68,8 @@ class RequestLine:
         self._pause_s = max(_SHORTEST_PAUSE_S, _PAUSE_BITS / settings.baud)
         self._send, self._clock = send, clock
         self._deciding, self._sending = threading.Lock(), threading.Lock()
-        self._orders: deque[Order] = deque()
-        self._asked: Order | None = None
+        self._queue: deque[QueuedRequest] = deque()
+        self._asked: QueuedRequest | None = None
         self._asked_s = self._free_s = self._due_s = 0.0
         self._resume_s = 0.0  # time until which commands wait because the converter is busy; reads go on
         self._next_poll = 0
@@ -81,30 +81,30 @@ class RequestLine:
         self.polling: bool = False
         self.sent_ns: int = 0
 
-    def put(self, requests: Sequence[wire.Request], *, urgent: bool = False) -> list[Order]:
+    def put(self, requests: Sequence[wire.Request], *, urgent: bool = False) -> list[QueuedRequest]:
         """Queue requests, and return them with their future answers; urgent ones replace all that wait."""
-        orders = [Order(request) for request in requests]
+        queued = [QueuedRequest(request) for request in requests]
         with self._deciding:
             if urgent:
                 self._resume_s = 0.0
-                self._orders.clear()
+                self._queue.clear()
                 if self._asked is not None:
                     self._asked.tries = 0
-            self._orders.extend(orders)
-        return orders
+            self._queue.extend(queued)
+        return queued
 
     @property
     def idle(self) -> bool:
         """Whether no request waits, and the last one is answered."""
         with self._deciding:
-            return not self._orders and self._asked is None
+            return not self._queue and self._asked is None
 
-    def drop(self, orders: Sequence[Order]) -> None:
+    def drop(self, queued: Sequence[QueuedRequest]) -> None:
         """Remove requests that are not needed any more."""
         with self._deciding:
-            for order in orders:
-                order.tries = 0
-            self._orders = deque(order for order in self._orders if order not in orders)
+            for one in queued:
+                one.tries = 0
+            self._queue = deque(one for one in self._queue if one not in queued)
 
     def heard(self, answer: wire.Answer) -> None:
         """Take an answer that the pipeline has found for a request."""
@@ -117,7 +117,7 @@ class RequestLine:
                 self._asked = None
                 self._free_s = self._clock.now_s() + self._pause_s
                 if answer.exception in _BUSY and asked.tries > 0:
-                    self._orders.appendleft(asked)
+                    self._queue.appendleft(asked)
                     self._resume_s = self._free_s + self._answer_s
                 else:
                     asked.answer = answer
@@ -130,12 +130,12 @@ class RequestLine:
         """
         with self._sending:
             with self._deciding:
-                order = self._next(self._clock.now_s())
-            if order is not None:
+                one = self._next(self._clock.now_s())
+            if one is not None:
                 self.sent_ns = self._clock.now_ns()
-                self._send(wire.encode(order.request))
+                self._send(wire.encode(one.request))
 
-    def _next(self, now: float) -> Order | None:
+    def _next(self, now: float) -> QueuedRequest | None:
         """Return what to send now; the caller holds both locks."""
         if self._asked is not None:
             if now - self._asked_s < self._answer_s:
@@ -145,32 +145,32 @@ class RequestLine:
             if asked.request.function in wire.READS:
                 self._missed[asked.request] = self._asked_s + _LATEST_ANSWERS * self._answer_s
             if asked.tries > 0:
-                self._orders.appendleft(asked)
+                self._queue.appendleft(asked)
         if now < self._free_s:
             return None
-        order = self._due(now)
-        if order is None:
+        one = self._due(now)
+        if one is None:
             return None
-        order.tries -= 1
-        self._asked, self._asked_s = order, now
-        return order
+        one.tries -= 1
+        self._asked, self._asked_s = one, now
+        return one
 
-    def _due(self, now: float) -> Order | None:
-        ordered = bool(self._orders) and now >= self._resume_s
+    def _due(self, now: float) -> QueuedRequest | None:
+        ordered = bool(self._queue) and now >= self._resume_s
         if not ordered and (not self.polling or now < self._due_s):
             return None
-        wanted = self._orders[0].request if ordered else self._polls[self._next_poll]
+        wanted = self._queue[0].request if ordered else self._polls[self._next_poll]
         if not ordered and self._evidence is not None and self._unanswered >= _SILENCE:
-            return None if self._confusable(self._evidence, now) else Order(self._evidence, tries=1)
+            return None if self._confusable(self._evidence, now) else QueuedRequest(self._evidence, tries=1)
         if self._confusable(wanted, now):
             clear = [probe for probe in self._probes if not self._confusable(probe, now)]
-            return Order(clear[0], tries=1) if clear else None
+            return QueuedRequest(clear[0], tries=1) if clear else None
         if ordered:
-            return self._orders.popleft()
+            return self._queue.popleft()
         self._next_poll = (self._next_poll + 1) % len(self._polls)
         if self._next_poll == 0:  # rounds that are overdue are not made up for
             self._due_s = max(self._due_s + self._period_s, now)
-        return Order(wanted, tries=1)
+        return QueuedRequest(wanted, tries=1)
 
     def _confusable(self, request: wire.Request, now: float) -> bool:
         """Whether the late answer to another read could be taken for that of a request.

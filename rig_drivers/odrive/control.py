@@ -119,7 +119,7 @@ class OdriveControl(RepeatedCommand):
         return encode(*wire.error_requests(self._settings.node_id, self._settings.firmware))
 
     @override
-    def _order(self, rpm: float) -> bytes:
+    def _speed_command(self, rpm: float) -> bytes:
         node = self._settings.node_id
         if self.mode is Mode.FREE:
             return encode(wire.set_state(node, wire.IDLE))

@@ -23,7 +23,7 @@ _TRIES = 2
 """Probes after which a sensor that has answered none is polled without them."""
 
 
-class Turns:
+class NextRequest:
     """What to send next to a sensor, by what it has answered. It does no I/O.
 
     Args:
@@ -55,8 +55,8 @@ class Turns:
 
     def heard(self, data: bytes) -> bool:
         """Take bytes of the sensor and return whether the next request may be sent."""
-        *lines, rest = (self._line + data.replace(b"\n", b"")).split(b"\r")
-        self._line = rest[-wire.LONGEST_LINE_BYTES :]
+        *lines, tail = (self._line + data.replace(b"\n", b"")).split(b"\r")
+        self._line = tail[-wire.LONGEST_LINE_BYTES :]
         ends = [self._ends_wait(line) for line in lines]
         return any(ends)
 
@@ -91,19 +91,19 @@ class SensorPoller(RequestLoop):
     """
 
     def __init__(self, settings: PolledLaser, send: Callable[[bytes], None], clock: HostClock) -> None:
-        self._turns = Turns(wire.DIALECTS[settings.dialect], settings.output)
-        super().__init__(Request(self._turns.request, b"", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
+        self._next = NextRequest(wire.DIALECTS[settings.dialect], settings.output)
+        super().__init__(Request(self._next.request, b"", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
 
     @override
     def start(self) -> None:
         self.stop()
         with self._lock:
-            self._turns.begin()
+            self._next.begin()
         super().start()
 
     @override
     def heard(self, data: bytes) -> None:
         with self._lock:
-            may_go_on = self._turns.heard(data)
+            may_go_on = self._next.heard(data)
         if may_go_on:
             super().heard(data)

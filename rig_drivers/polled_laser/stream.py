@@ -71,7 +71,7 @@ class PolledPipeline(Pipeline):
         if direction == TX:
             return self._asked(data, host_ns)
         out: Items = []
-        *lines, rest = data.replace(b"\n", b"").split(b"\r")
+        *lines, tail = data.replace(b"\n", b"").split(b"\r")
         for part in lines:
             self._extend(part)
             line, joined = bytes(self._line), self._joined
@@ -79,7 +79,7 @@ class PolledPipeline(Pipeline):
             self._joined = True
             if line:
                 out += self._answered(line, joined, host_ns)
-        self._extend(rest)
+        self._extend(tail)
         return out
 
     def _extend(self, part: bytes) -> None:

@@ -43,8 +43,8 @@ def words_for(data: bytes, range_mm: int, check: wire.Check) -> str:
         check: the expected check.
     """
     if len(data) < wire.PACKET_BYTES:
-        results, rest = divmod(len(data) - _TAIL_BYTES, _RESULT_BYTES)
-        if results > 0 and not rest and int.from_bytes(data[-4:-2], "little") == range_mm:
+        results, tail = divmod(len(data) - _TAIL_BYTES, _RESULT_BYTES)
+        if results > 0 and not tail and int.from_bytes(data[-4:-2], "little") == range_mm:
             return f"a packet of {number_of(results, 'result')}: set the sensor to {wire.RESULTS} in a packet"
         return ""
     last = data[-wire.PACKET_BYTES :]

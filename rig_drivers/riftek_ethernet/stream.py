@@ -50,7 +50,7 @@ class RiftekEthernetPipeline(Pipeline):
         self._clock = ClockMap(settings.clock_tolerance_ppm, ClockSeed.of(identity))
         self._period_ns = 1e9 / settings.rate_Hz
         count = Count(wire.NUMBERS, wire.RESULTS * self._period_ns, late_messages=_LATE_PACKETS)
-        self._order = NumberedStream[list[wire.Packet]](count, chained)
+        self._numbered = NumberedStream[list[wire.Packet]](count, chained)
         self._serial: int | None = None
         self._heard_ns: int | None = None  # host time of the newest packet of the expected sensor, or of the first read
         self._next = 0  # number of the next sample
@@ -58,7 +58,7 @@ class RiftekEthernetPipeline(Pipeline):
     @property
     def repeated_packets(self) -> int:
         """Number of packets that came twice or too late."""
-        return self._order.repeated
+        return self._numbered.repeated
 
     @property
     def status(self) -> PipelineStatus:
@@ -74,7 +74,7 @@ class RiftekEthernetPipeline(Pipeline):
             return []
         out: Items = []
         if not data:
-            return [item for stretch in self._order.end() for item in self._placed(stretch)]
+            return [item for stretch in self._numbered.end() for item in self._placed(stretch)]
         self._heard_ns = host_ns if self._heard_ns is None else self._heard_ns
         found = self._decoder.feed(data)
         if found.skipped_bytes:
@@ -88,7 +88,7 @@ class RiftekEthernetPipeline(Pipeline):
             out += self._identified(packet.serial)
             if not self._complaint:
                 self._heard_ns = host_ns
-                for stretch in self._order.feed(np.array([packet.number]), [packet], host_ns):
+                for stretch in self._numbered.feed(np.array([packet.number]), [packet], host_ns):
                     out += self._placed(stretch)
         return out
 

@@ -119,7 +119,7 @@ class VescControl(RepeatedCommand):
         return self._on_line(wire.get_values())
 
     @override
-    def _order(self, rpm: float) -> bytes:
+    def _speed_command(self, rpm: float) -> bytes:
         if self.mode is Mode.FREE:
             return self._on_line(wire.release())
         # speed 0 is sent as a brake: below its least speed a controller releases, shorts or brakes the motor,

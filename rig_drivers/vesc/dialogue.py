@@ -83,15 +83,15 @@ def announced(data: bytes, sender: str) -> NetworkDevice | None:
         data: the datagram.
         sender: address from which it came. It is used in place of an address that cannot be reached.
     """
-    name, *rest = data.rstrip(b"\0").decode("utf-8", "replace").split("::")
-    if len(rest) != 2 or not (rest[1].isascii() and rest[1].isdecimal() and 0 < int(rest[1]) < 2**16):
+    name, *parts = data.rstrip(b"\0").decode("utf-8", "replace").split("::")
+    if len(parts) != 2 or not (parts[1].isascii() and parts[1].isdecimal() and 0 < int(parts[1]) < 2**16):
         return None
     try:
-        address = ipaddress.IPv4Address(rest[0])
+        address = ipaddress.IPv4Address(parts[0])
     except ValueError:  # usual: the datagram of another device
         return None
     host = sender if address.is_unspecified else str(address)
-    return NetworkDevice(network_port(host, int(rest[1])), FoundDevice({}, {"name": name}))
+    return NetworkDevice(network_port(host, int(parts[1])), FoundDevice({}, {"name": name}))
 
 
 def announcement() -> Announcement:

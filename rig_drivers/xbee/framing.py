@@ -23,10 +23,10 @@ def encode(data: bytes, *, escaped: bool) -> bytes:
         data: frame data, at most 65535 bytes.
         escaped: whether bytes are escaped (AP=2).
     """
-    rest = len(data).to_bytes(2, "big") + data + bytes([0xFF - (sum(data) & 0xFF)])
+    tail = len(data).to_bytes(2, "big") + data + bytes([0xFF - (sum(data) & 0xFF)])
     if escaped:
-        rest = b"".join(bytes((ESCAPE, b ^ 0x20)) if b in SPECIAL else bytes((b,)) for b in rest)
-    return bytes((START,)) + rest
+        tail = b"".join(bytes((ESCAPE, b ^ 0x20)) if b in SPECIAL else bytes((b,)) for b in tail)
+    return bytes((START,)) + tail
 
 
 @dataclass(frozen=True)

@@ -171,9 +171,9 @@ class AtAnswer:
         Raises:
             ValueError: the text is not that of an answer.
         """
-        frame_id, _, rest = text.partition(" ")
-        command = rest[:2]  # two characters, which a foreign module may send as spaces
-        value, _, status = rest[3:].partition(" ")
+        frame_id, _, tail = text.partition(" ")
+        command = tail[:2]  # two characters, which a foreign module may send as spaces
+        value, _, status = tail[3:].partition(" ")
         number = AT_STATUS.index(status) if status in AT_STATUS else int(status.removeprefix(_OTHER_STATUS))
         return cls(int(frame_id), command, number, bytes.fromhex(value))
 

@@ -402,7 +402,7 @@ class Judge:
     """In place of the settling decision: settled at some ends of the marks, otherwise with a large bound."""
 
     ends: tuple[float, ...] = ()
-    rests: bool = True
+    is_level: bool = True
     span_s: float = 12.0
     calls: list[dict[str, float | None]] = field(default_factory=list)
 
@@ -414,7 +414,7 @@ class Judge:
         parts = list(vars(signals).values())
         assert [len(time) for time in parts[::2]] == [len(values) for values in parts[1::2]]
         why, ok = "too short" if self.span_s == 0 else "moves", end in self.ends
-        return Settling(ok, False, why, 0.0, 1.0, 0.0, 1.0, self.span_s, more_s=9.0, rests=self.rests)
+        return Settling(ok, False, why, 0.0, 1.0, 0.0, 1.0, self.span_s, more_s=9.0, is_level=self.is_level)
 
 
 def long_run() -> Run:
@@ -424,7 +424,7 @@ def long_run() -> Run:
 
 def test_a_bound_of_a_moment_ago_holds_while_the_means_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half a second to two and a half before, with any newest bound: the means show whether it holds."""
-    for ago, rests, expected in (
+    for ago, is_level, expected in (
         (0.5, True, True),
         (1.5, True, True),
         (2.5, True, True),
@@ -433,9 +433,9 @@ def test_a_bound_of_a_moment_ago_holds_while_the_means_stay(monkeypatch: pytest.
         (0.75, True, False),
         (0.0, False, True),
     ):
-        monkeypatch.setattr(steady_state, "settled", Judge((60.0 - ago,), rests))
+        monkeypatch.setattr(steady_state, "settled", Judge((60.0 - ago,), is_level))
         found = _settling(long_run(), 10.0, 60.0, False)
-        assert found.settled == expected, (ago, rests)
+        assert found.settled == expected, (ago, is_level)
         if expected and ago:
             assert (found.why, found.more_s) == ("steady a moment ago; moves", 0.0)
         else:

@@ -242,9 +242,9 @@ class DriveControl(HostCommand):
             self._check_heartbeat()
             self._stopping_s = None
         self._pdo(self._run_word, rpm)
-        demands.confirm_target(self._objects, self._profile, rpm, self._order_again)
+        demands.confirm_target(self._objects, self._profile, rpm, self._command_again)
 
-    def _order_again(self, rpm: float) -> bool:
+    def _command_again(self, rpm: float) -> bool:
         """Send a target speed again, and return True; send nothing and return False if a stop has been commanded."""
         if self._armed:
             self._pdo(self._run_word, rpm)
@@ -266,11 +266,11 @@ class DriveControl(HostCommand):
             confirmed: whether the drive has accepted the command through its objects.
         """
 
-        def order() -> Callable[[], bool]:
+        def command() -> Callable[[], bool]:
             self._pdo(word, 0)
             return lambda: not self._in_torque
 
-        if not self._confirm(order):
+        if not self._confirm(command):
             return f"it stays in {self.state}. {REMEDY}"
         off = confirmed or self._recent_state != cia402.UNKNOWN or self._off_by_its_objects
         return "" if off else UNCONFIRMED
@@ -320,8 +320,8 @@ class DriveControl(HostCommand):
         late_s = now_s - self._stopping_s
         if in_network and (late_s <= _QUICK_STOP_S or self._follows_stop):
             return
-        order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
-        self._objects.send(cia301.cob_sdo_request(self._config.node_id), order)  # without waiting for an answer
+        command = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
+        self._objects.send(cia301.cob_sdo_request(self._config.node_id), command)  # without waiting for an answer
         self._objects.send(0, bytes([NMT_START, self._config.node_id]))
         self._pdo(cia402.QUICK_STOP, 0)
         if late_s > (2 if in_network else 1) * _QUICK_STOP_S:

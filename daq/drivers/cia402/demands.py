@@ -68,7 +68,7 @@ def set_watch(objects: NodeObjects, host_node_id: int, timeout_ms: int) -> None:
 
 
 def confirm_target(
-    objects: NodeObjects, profile: SpeedProfile, rpm: float, order_again: Callable[[float], bool]
+    objects: NodeObjects, profile: SpeedProfile, rpm: float, command_again: Callable[[float], bool]
 ) -> None:
     """Read the target speed back; it is commanded again if the drive does not have it, because a frame may be lost.
 
@@ -78,12 +78,12 @@ def confirm_target(
         objects: objects of the drive.
         profile: mode of operation.
         rpm: target speed that was commanded, rpm.
-        order_again: commands a speed, rpm, again; it returns False if another command has replaced it.
+        command_again: commands a speed, rpm, again; it returns False if another command has replaced it.
     """
     raw = profile.pack(0, rpm)[2:]
     found: int | None = None
     for attempt in range(TRIES):
-        if attempt and not order_again(rpm):
+        if attempt and not command_again(rpm):
             return
         with ignoring(_log, "reading the target speed back", DeviceError):
             found = objects.read(profile.target, 0)

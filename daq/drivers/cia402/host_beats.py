@@ -39,7 +39,7 @@ class HostBeats:
     def __init__(self, node_id: int, host_node_id: int) -> None:
         self.foreign: int = 0
         self._beat = cia301.cob_heartbeat(host_node_id)
-        self._orders = (cia301.cob_sdo_request(node_id), cia301.cob_rpdo(1, node_id))
+        self._commands = (cia301.cob_sdo_request(node_id), cia301.cob_rpdo(1, node_id))
         self._sending = False  # a session that only receives gets the heartbeats of the bus's host
         self._beats: deque[int] = deque(maxlen=64)  # host times of the sent heartbeats, ns
         self._others: deque[tuple[CanFrame, int]] = deque(maxlen=64)
@@ -52,7 +52,7 @@ class HostBeats:
             if frame.arbitration_id == self._beat:
                 self._sending = True
                 self._beats.append(host_ns)
-            elif frame.arbitration_id in self._orders:
+            elif frame.arbitration_id in self._commands:
                 self._others.append((frame, host_ns))
 
     def received(self, frames: Iterable[CanFrame], host_ns: int) -> bool:
@@ -64,7 +64,7 @@ class HostBeats:
         for frame in frames:
             if frame.arbitration_id == self._beat:
                 keep_coming |= self._sending and not self._is_echo(host_ns) and self._counts(host_ns)
-            elif frame.arbitration_id in self._orders:
+            elif frame.arbitration_id in self._commands:
                 self._take_echo(frame)
         return keep_coming
 

@@ -75,8 +75,8 @@ class SensorCommands:
 
     def receive(self, data: bytes) -> bytes:
         """Take command bytes, split at any place; return the answers to the commands that they complete."""
-        *lines, rest = (bytes(self._line) + data).split(b"\n")
-        self._line = bytearray(rest[-_LINE_LIMIT:])
+        *lines, tail = (bytes(self._line) + data).split(b"\n")
+        self._line = bytearray(tail[-_LINE_LIMIT:])
         return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
 
     def _answer(self, line: str) -> bytes:

@@ -173,7 +173,7 @@ class WholeBlocks(BytesFromDevice):
         return int(high[ended]) + 1 if ended < len(high) else max(0, int(high[begun]) - 2)
 
     @override
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         tail, self._tail = self._tail, b""
         return tail
 

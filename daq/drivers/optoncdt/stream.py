@@ -75,7 +75,7 @@ class LaserPipeline(Pipeline):
         period_ns = self._nominal_ticks * TICK_NS
         wraps = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
         count = Count(wraps[0], period_ns, clock_size=wraps[1], clock_step=self._nominal_ticks)
-        self._order = NumberedStream[Rows](count, np.concatenate)
+        self._numbered = NumberedStream[Rows](count, np.concatenate)
         self._true, self._times = TrueRows(self._nominal_ticks), SampleTimes()
         self._damaged = 0  # samples that were reported as damaged
         self._reported_period = self._nominal_ticks
@@ -107,10 +107,10 @@ class LaserPipeline(Pipeline):
             return []
         out: Items = []
         if not data:
-            self._placed(self._order.end(), out)
-        rest = data
-        while rest:
-            rest = self._decode(rest, host_ns, out) if self._trial is None else self._try(rest, host_ns, out)
+            self._placed(self._numbered.end(), out)
+        unread = data
+        while unread:
+            unread = self._decode(unread, host_ns, out) if self._trial is None else self._try(unread, host_ns, out)
         self._set_up.received(data, out, host_ns)
         return out
 
@@ -129,7 +129,7 @@ class LaserPipeline(Pipeline):
         if found.announced is not None:
             self._trial = WordsTrial(self._decoder, found.announced)
         self._decoder.follow_answers = True
-        return found.rest
+        return found.unread
 
     def _counted_before_first(self, skipped: int, out: Items) -> int:
         """Return how many bytes count as lost after further bytes were skipped before the first block.
@@ -153,7 +153,7 @@ class LaserPipeline(Pipeline):
     def _try(self, data: bytes, host_ns: int, out: Items) -> bytes:
         """Continue the decision about the words; after it decode the held bytes. Return the bytes that follow."""
         assert self._trial is not None
-        decided, lines, rest = self._trial.feed(data)
+        decided, lines, unread = self._trial.feed(data)
         self._report_lines(lines, out)
         self._reported_lines += len(lines)
         if decided is None:
@@ -168,7 +168,7 @@ class LaserPipeline(Pipeline):
         elif not decided:
             text = f"an answer announces the words {' '.join(words)}, the stream does not consist of them: ignored"
             out.append(DeviceEvent("words", self._device, text))
-        return self._decode(held, host_ns, out) + rest  # answers in the bytes that follow count again
+        return self._decode(held, host_ns, out) + unread  # answers in the bytes that follow count again
 
     def _report_lines(self, lines: Sequence[str], out: Items) -> None:
         """Append an event for each line that has not been reported yet."""
@@ -195,7 +195,7 @@ class LaserPipeline(Pipeline):
         self._report_damage(out)
         self._report_rate(out)
         if len(rows):
-            self._placed(self._order.feed(rows[:, 0], rows, host_ns, rows[:, 1]), out)
+            self._placed(self._numbered.feed(rows[:, 0], rows, host_ns, rows[:, 1]), out)
 
     def _placed(self, stretches: Sequence[Stretch[Rows]], out: Items) -> None:
         """Append the samples that have a place in the sensor's count, and the events about them."""

@@ -43,7 +43,7 @@ class DecodedBlocks:
         skipped_bytes: number of bytes skipped to find the next block.
         skipped_first: number of those before the first block; all of them without a block.
         announced: other words that an answer announced; decoding stopped after that answer. None if no answer did.
-        rest: bytes that were not decoded.
+        unread: bytes that were not decoded.
     """
 
     values: NDArray[np.uint32]
@@ -51,7 +51,7 @@ class DecodedBlocks:
     skipped_bytes: int
     skipped_first: int = 0
     announced: tuple[str, ...] | None = None
-    rest: bytes = b""
+    unread: bytes = b""
 
 
 class BlockDecoder:

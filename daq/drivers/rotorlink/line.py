@@ -41,14 +41,14 @@ class FrameDecoder:
             data: any number of bytes, in the order of arrival.
         """
         found = DecodedFrames([], [])
-        *ended, rest = data.split(b"\x00")
+        *ended, tail = data.split(b"\x00")
         for run in ended:
             self._extend(run, found)
             if self._run and not self._overlong:
                 _decode_run(bytes(self._run), found)
             self._run.clear()
             self._overlong = False
-        self._extend(rest, found)
+        self._extend(tail, found)
         return found
 
     def _extend(self, run: bytes, found: DecodedFrames) -> None:

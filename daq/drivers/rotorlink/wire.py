@@ -355,9 +355,9 @@ def parse(payload: bytes) -> Frame:
         raise BadFrame(
             "length", f"expected at least {number_of(Wrapped.HEAD.size, 'byte')} for Wrapped, got {len(body)}"
         )
-    head, rest = Wrapped.HEAD.unpack_from(body)[1:], body[Wrapped.HEAD.size :]
+    head, tail = Wrapped.HEAD.unpack_from(body)[1:], body[Wrapped.HEAD.size :]
     try:
-        return Wrapped(*head, inner=parse_node(rest))
+        return Wrapped(*head, inner=parse_node(tail))
     except BadFrame as fault:
         own = fault.skipped is not None and fault.skipped.kind in Skipped.NODES
-        return Wrapped(*head, inner=fault.skipped if own else None, damaged=rest, damage=fault.reason)
+        return Wrapped(*head, inner=fault.skipped if own else None, damaged=tail, damage=fault.reason)

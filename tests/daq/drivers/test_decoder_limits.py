@@ -67,9 +67,9 @@ def test_an_answer_changes_no_words_unless_it_is_to_be_followed() -> None:
     blocks = optoncdt.encode_block([[5, i, 25 * i, 0] for i in range(4)])
     data = b"GETOUTINFO_RS422 DIST COUNTER\r\n->" + blocks
     found = optoncdt.BlockDecoder(WORDS).feed(data)
-    assert (found.announced, len(found.values), found.rest) == (None, 4, b"")
+    assert (found.announced, len(found.values), found.unread) == (None, 4, b"")
     follows = optoncdt.BlockDecoder(WORDS, follow_answers=True).feed(data)
-    assert (follows.announced, len(follows.values), follows.rest) == (("DIST", "COUNTER"), 0, b">" + blocks)
+    assert (follows.announced, len(follows.values), follows.unread) == (("DIST", "COUNTER"), 0, b">" + blocks)
 
 
 # --- RIFTEK ----------------------------------------------------------------------------------------------------

@@ -93,7 +93,7 @@ def drawn(seed: int) -> list[Action]:
 @pytest.mark.parametrize("seed", range(cases(7, 200)))
 def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(tmp_path: Path, seed: int) -> None:
     sim, session = opened("virtual", f"virtual.seed={seed}")
-    sim.turn_s = (0.004, 0.016)
+    sim.step_s = (0.004, 0.016)
     watch, controls = Watch(sim), Controls()
     try:
         with session:
@@ -112,7 +112,7 @@ def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(
         pass  # a fault ended it, or the rig refused to go on
     except ValueError as error:
         assert "virtual rig" in str(error)  # noqa: PT017 (a hand that found nothing to flick)
-    sim.turn_s = (0.04, 0.06)
+    sim.step_s = (0.04, 0.06)
     watch.turns = False
     sim.clock.wait(15.0)
     assert watch.wrong == []

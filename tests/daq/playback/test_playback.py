@@ -97,7 +97,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
             take(RX, pending[:size])
             pending = pending[size:]
     take(RX, pending)
-    bus += played.rest()
+    bus += played.remainder()
     for at in range(0, len(bus), listens):
         speeds[1] += [x for x in listener.feed(RX, bus[at : at + listens], START_NS) if isinstance(x, Batch)]
     for name in ("speed_rpm", "target_rpm", "statusword"):
@@ -110,7 +110,7 @@ def test_bytes_that_are_no_frame_are_not_played_and_hold_nothing_back() -> None:
     played, frame = BothWays({0x701}), encode(CanFrame(0x181, b"12"))
     assert played.feed(RX, b"x" * 5000) == b""
     assert played.feed(RX, frame + frame[:9]) == frame
-    assert played.rest() == b""
+    assert played.remainder() == b""
 
 
 # --- back-pressure and readers that go ---------------------------------------------------------------------------

@@ -73,9 +73,9 @@ def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: 
     names = ("DIST", "A", "B", "C", "D")[:words]
     alone = optoncdt.BlockDecoder(names).feed(stream)
     source, decoder = WholeBlocks(words), optoncdt.BlockDecoder(names)
-    rows, text, skipped, rest, played = [], [], 0, stream, b""
+    rows, text, skipped, remainder, played = [], [], 0, stream, b""
     for number, cut in enumerate(cuts * len(stream)):
-        data = source.feed(RX, rest[:cut]) if rest else source.rest()
+        data = source.feed(RX, remainder[:cut]) if remainder else source.remainder()
         answer = answers[number % len(answers)]
         for part in (data, answer):
             found = decoder.feed(part)
@@ -83,9 +83,9 @@ def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: 
             text += found.text
             skipped += found.skipped_bytes
         played += data
-        if not rest:
+        if not remainder:
             break
-        rest = rest[cut:]
+        remainder = remainder[cut:]
     assert played == stream
     assert np.array_equal(np.concatenate(rows), alone.values)
     assert skipped <= alone.skipped_bytes  # the end of a block whose start is missing may look like text
@@ -98,7 +98,7 @@ def test_bytes_that_are_no_blocks_are_not_held_back_for_ever() -> None:
     assert source.feed(RX, b"OUTPUT NONE ok\r\n->") == b"OUTPUT NONE ok\r\n->"
     assert source.feed(RX, b"abc") == b""
     assert source.feed(TX, b"OUTPUT NONE\n") == b""
-    assert source.rest() == b"abc"
+    assert source.remainder() == b"abc"
     assert source.feed(RX, b"\xff" * 100) == b"\xff" * 100
 
 
@@ -149,7 +149,7 @@ def test_it_sends_between_two_commands_and_resets_no_counter() -> None:
     laser.hear(b"OUTPUT RS422\n")
     assert laser.play(RX, stream[370:]) == stream[360:]
     assert laser.withheld_bytes == 120 + 120
-    assert laser.rest() == b""
+    assert laser.remainder() == b""
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_any_bytes_of_a_host_are_handled(pieces: list[bytes]) -> None:
     ):
         for piece in pieces:
             assert isinstance(device.hear(piece), bytes)
-        assert device.rest() == b""
+        assert device.remainder() == b""
 
 
 # --- devices of a log --------------------------------------------------------------------------------------------

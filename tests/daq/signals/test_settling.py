@@ -416,11 +416,11 @@ def test_a_locked_orbit_is_judged_without_angles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left_deg", "left_m", "rate", "rests"),
+    ("left_deg", "left_m", "rate", "is_level"),
     [(0.3, 0.0, 0.15, True), (0.3, 0.0, 0.3, False), (0.0, 3e-6, 0.15, True), (0.0, 8e-6, 0.3, False)],
 )
 def test_means_that_change_by_less_than_the_tolerances_in_the_last_window_rest(
-    left_deg: float, left_m: float, rate: float, rests: bool
+    left_deg: float, left_m: float, rate: float, is_level: bool
 ) -> None:
     """More than a tolerance is still to come in all of them."""
     found = judged(
@@ -430,4 +430,4 @@ def test_means_that_change_by_less_than_the_tolerances_in_the_last_window_rest(
         )
     )
     assert found.approaching
-    assert found.rests is rests
+    assert found.is_level is is_level

@@ -194,12 +194,12 @@ def test_no_command_follows_a_stop_that_interrupts_it(bench: Bench) -> None:
     put = line.put
 
     def put_and_stop(requests: Any, *, urgent: bool = False) -> Any:
-        orders = put(requests, urgent=urgent)
+        queued = put(requests, urgent=urgent)
         if not urgent:
             bench.clock.wait(0.0)
             bench.drive._armed = False  # as a stop from another thread does
             bench.drive._brake()
-        return orders
+        return queued
 
     line.put = put_and_stop
     begun = len(bench.sent())

@@ -27,7 +27,7 @@ from daq.virtual_rig.beam import Beam
 from rig_drivers.polled_laser import wire
 from rig_drivers.polled_laser.driver import DRIVER
 from rig_drivers.polled_laser.far_end import SimulatedPolledLaser
-from rig_drivers.polled_laser.poller import Turns
+from rig_drivers.polled_laser.poller import NextRequest
 from rig_drivers.polled_laser.settings import PolledLaser
 from rig_drivers.polled_laser.stream import PolledPipeline
 from rig_testing.bench import DriverBench
@@ -550,26 +550,26 @@ def test_the_probe_s_answer_ends_the_doubt_and_is_no_sample(name: str, probe: by
     settings = sensor(dialect=name, baud=115_200)
     value = wire.DIALECTS[name].request(settings.output)
     for answer in answers:
-        turns, decoder = Turns(wire.DIALECTS[name], settings.output), pipeline_of(settings)
-        assert turns.request(0) == probe
+        requests, decoder = NextRequest(wire.DIALECTS[name], settings.output), pipeline_of(settings)
+        assert requests.request(0) == probe
         assert decoder.feed(TX, probe, START_NS) == []
-        assert turns.heard(probe) is False, "its echo"
-        assert turns.heard(answer) is True
+        assert requests.heard(probe) is False, "its echo"
+        assert requests.heard(answer) is True
         assert decoder.feed(RX, answer, START_NS + MS) == []
-        assert turns.request(1) == value
+        assert requests.request(1) == value
         assert sum(decoder.losses.values()) == 0
 
 
 def test_a_value_between_a_probe_and_its_answer_has_no_known_time() -> None:
     settings = sensor(dialect="LK-G")
-    turns, decoder = Turns(wire.DIALECTS["LK-G"], 1), pipeline_of(settings)
+    requests, decoder = NextRequest(wire.DIALECTS["LK-G"], 1), pipeline_of(settings)
     talk: list[bytes] = []
     for number, answers in enumerate([b"M2,+00.0000\r", b"", b"M1,+01.0000\rM2,+00.0000\r", b"M1,+02.0000\r"]):
-        talk.append(turns.request(number))
+        talk.append(requests.request(number))
         decoder.feed(TX, talk[-1], START_NS + number * 1000 * MS)
         for part in answers.splitlines(keepends=True):
             found = decoder.feed(RX, part, START_NS + (number * 1000 + 5) * MS)
-            turns.heard(part)
+            requests.heard(part)
     assert talk == [b"M2\r", b"M1\r", b"M2\r", b"M1\r"]
     assert kinds(found) == ["reply", "sample"]
     assert decoder.losses == {"samples": 1, "damaged_lines": 0, "unasked": 1, "refused": 0, "invalid": 0}
@@ -705,9 +705,9 @@ def test_a_sensor_that_answers_otherwise_is_quoted_at_opening(settings: dict[str
 
 @pytest.mark.parametrize(("answer", "is_found"), [(b"M0,+01.2345,+01.2345\r", False), (b"M0,+01.234\r\n", True)])
 def test_an_lkg_that_answers_the_il_s_request_is_not_found_as_an_il(answer: bytes, is_found: bool) -> None:
-    turns = DRIVER.identity_request(sensor(dialect="IL", baud=9600, rate_Hz=20))
-    request = next(turns)
+    requests = DRIVER.identity_request(sensor(dialect="IL", baud=9600, rate_Hz=20))
+    request = next(requests)
     assert request.is_answered(answer) == is_found
     with pytest.raises(StopIteration) as end:
-        turns.send(answer)
+        requests.send(answer)
     assert (end.value.value is not None) == is_found
