@@ -15,8 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import CA, CB, JA, JB
-from dynamics.equations.quick_rates import quick_rates
+from dynamics.equations.kernels import CA, CB, JA, JB, rates
 from rig_basics.arrays import Array
 
 STATES, READINGS, TALLY = 10, 4, 8
@@ -95,16 +94,16 @@ def _step(
             m = 0.5 * h
             a1, w1 = a0 + m * (w0 + 0.5 * m * alpha), w0 + m * alpha
             a2, w2 = a0 + h * (w0 + 0.5 * h * alpha), w0 + h * alpha
-            quick_rates(y, a0, w0, alpha, p, free_a, free_b, k, 0)
+            rates(y, a0, w0, alpha, p, free_a, free_b, k[0])
             for j in range(8):
                 work[j] = y[j] + m * k[0, j]
-            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 1)
+            rates(work, a1, w1, alpha, p, free_a, free_b, k[1])
             for j in range(8):
                 work[j] = y[j] + m * k[1, j]
-            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 2)
+            rates(work, a1, w1, alpha, p, free_a, free_b, k[2])
             for j in range(8):
                 work[j] = y[j] + h * k[2, j]
-            quick_rates(work, a2, w2, alpha, p, free_a, free_b, k, 3)
+            rates(work, a2, w2, alpha, p, free_a, free_b, k[3])
             for j in range(8):
                 y[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
