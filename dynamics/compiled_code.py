@@ -37,6 +37,7 @@ R = TypeVar("R")
 _ROOT = Path(__file__).parents[1]
 _COMPILER = {"numba": "_version.py", "llvmlite": "_version.py", "numpy": "version.py"}  # files with the versions
 _NOT_OPTIONS = {"NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS"}  # variables of the environment without effect on the code
+_KEPT = "compiled-"  # beginning of the names of directories that outlive their process
 _MAX_UNUSED_S = 60 * 86400.0  # directories of other versions that were not used for this time are removed, s
 
 
@@ -100,7 +101,7 @@ def keep_compiled_code() -> Path | None:
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return None
-    place = _user_cache() / "pendulum-balancer-rig" / f"compiled-{source_digest()}"
+    place = _user_cache() / "pendulum-balancer-rig" / f"{_KEPT}{source_digest()}"
     try:
         place.mkdir(parents=True, exist_ok=True)
         os.utime(place)
@@ -114,6 +115,11 @@ def keep_compiled_code() -> Path | None:
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(place)
     return place
+
+
+def keeps_code(place: Path) -> bool:
+    """Whether a directory of `keep_compiled_code` outlives this process."""
+    return place.name.startswith(_KEPT)
 
 
 def load_compiler() -> None:
@@ -162,6 +168,6 @@ def _user_cache() -> Path:
 
 
 def _remove_unused(current: Path) -> None:
-    for other in current.parent.glob("compiled-*"):
+    for other in current.parent.glob(f"{_KEPT}*"):
         if other != current and time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
             shutil.rmtree(other, ignore_errors=True)
