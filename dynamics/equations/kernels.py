@@ -14,7 +14,7 @@ whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pend
 The rest position of the springs of a bent shaft is b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with
 k u (1 + H u²), and a damper at the speed v resists with c v (1 + Q |v|). Each direction has its own H and Q.
 The rates may be complex: a complex step then gives exact derivatives of every result of this function. The terms are
-grouped by pendulum, and sine and cosine come together from dynamics.equations.quick_rates: half the time.
+grouped by pendulum, and sine and cosine come together from dynamics.equations.sine_cosine: half the time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from dynamics.arrays import Array, Numbers
 from dynamics.compiled_code import compiled
-from dynamics.equations.quick_rates import real_sine_cosine, sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine, sine_cosine
 
 # Order of the packed parameters (RotorParameters.packed)
 MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)

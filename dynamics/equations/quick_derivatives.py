@@ -24,7 +24,7 @@ from dynamics.equations.kernels import (
     SA,
     SP,
 )
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 
 
 @compiled(contract=True, part=True)

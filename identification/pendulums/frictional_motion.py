@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, JA, K1, K2, MASS, SA
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import WHOLE, copy_rows, disk_forces, follow, solve_disk
 from rig_basics.arrays import Array

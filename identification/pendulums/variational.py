@@ -37,7 +37,7 @@ from dynamics.equations.kernels import (
     SA,
     SP,
 )
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from rig_basics.arrays import Array
 

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from dynamics.equations.kernels import PACKED, rates
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments
-from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.scene import Scene, time_at_speed
+from dynamics.equations.sine_cosine import real_sine_cosine
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import DynamicsError, NotConverged, OutsideDomain
 from dynamics.motions.batch import simulate_batch
