@@ -2,6 +2,7 @@
 #   make demo    the main job on the built-in virtual rig, ends with a report
 #   make test    lint, types, layers and the whole test suite
 # make test-thorough runs the tests with all their cases (hours; the suite of make test runs a part of them).
+# make setup installs everything and compiles what the usual commands need, once for each state of their sources.
 # make docs builds the documentation site from the installed wheel into out/docs, with warnings as errors.
 # make platforms resolves the dependencies from wheels alone for Linux, Windows and macOS.
 # make wheel builds the wheel into out/dist and starts the command from it, outside this folder's environment.
@@ -25,19 +26,19 @@ endif
 # compile the project anew, each time.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-thorough tutorials docs platforms wheel campaign commands setup format lint layers types duplicates clean
+.PHONY: demo test test-thorough tutorials docs platforms wheel campaign commands setup format lint layers types duplicates clean installed
 
-demo: setup
+demo: installed
 	$(UV) run --no-sync rig demo --out out/demo
 	@echo "For the rig command in this shell: source .venv/bin/activate"
 
-test: setup lint
+test: installed lint
 	$(UV) run --no-sync pytest -n 2 --dist worksteal
 
-test-thorough: setup
+test-thorough: installed
 	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2 --dist worksteal -o faulthandler_timeout=14400
 
-tutorials: setup
+tutorials: installed
 	$(UV) run --no-sync python -m tests.tutorials.notebooks
 
 docs: | $(UV_FILE)
@@ -58,14 +59,14 @@ wheel: | $(UV_FILE)
 	$(UV) build --quiet --out-dir out/dist
 	$(UV) tool run --isolated --from out/dist/*.whl rig --version
 
-campaign: setup
+campaign: installed
 	.ci/campaign
 
-commands: setup
+commands: installed
 	test -d out/demo || $(UV) run --no-sync rig demo --out out/demo
 	$(UV) run --no-sync python -m tests.run_documented_commands
 
-format: setup
+format: installed
 	$(UV) run --no-sync ruff check --fix .
 	$(UV) run --no-sync ruff format .
 
@@ -74,10 +75,10 @@ lint: layers
 	$(UV) run --no-sync ruff format --check .
 	$(MAKE) --jobs 2 types duplicates
 
-layers: setup
+layers: installed
 	$(UV) run --no-sync lint-imports
 
-types: setup
+types: installed
 	$(UV) run --no-sync pyright
 	mkdir -p out
 	for package in */py.typed; do \
@@ -85,10 +86,13 @@ types: setup
 			|| { cat out/types.txt; exit 1; }; \
 	done
 
-duplicates: setup
+duplicates: installed
 	$(UV) run --no-sync pylint --score=n $(patsubst %/py.typed,%,$(wildcard */py.typed)) benchmarks tests examples
 
-setup: | $(UV_FILE)
+setup: installed
+	$(UV) run --no-sync python -m rig_cli.first_start
+
+installed: | $(UV_FILE)
 	$(UV) sync --frozen --inexact --quiet --compile-bytecode
 
 .tools/uv-$(UV_VERSION)/bin/uv:

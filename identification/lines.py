@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import cast
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from identification.samples import usual_interval
 from identification.typed_scipy import median_filter, next_fast_len
 from rig_basics.arrays import Array
@@ -156,7 +156,7 @@ def _uniform(time: Array, value: Array, keep: np.ndarray) -> tuple[float, float,
     return float(t[0]), step, even
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _largest_offset(time: np.ndarray, step: float) -> float:
     """Largest deviation of the times from an even grid that starts at the first one, s."""
     largest, first = 0.0, time[0]

@@ -23,6 +23,7 @@ from rig_basics.log_output import show_log
 from rig_cli import answer, crash
 from rig_cli.command_groups import GROUPS
 from rig_cli.console import notify, wait_for_compilation
+from rig_cli.first_start import compile_in_background
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import EVERY_OPTION
 from rig_cli.signals import dropped, end_at_next_signal, end_without_threads, ignore_unfinished, interrupt_at_signals
@@ -211,7 +212,11 @@ def _exit_code(error: Exception) -> int | None:
 def main() -> None:
     """Carry out the command of the command line and end the program with its exit code."""
     if not _ONLY_SHOWN & set(sys.argv[1:2]):  # the folder takes 25 ms to name, and nothing compiles
-        keep_compiled_code()  # before anything compiles; child processes inherit it
+        place = keep_compiled_code()  # before anything compiles; child processes inherit it
+        if "demo" not in sys.argv[1:2] and compile_in_background(place):  # a demo compiles all of it itself
+            notify(
+                "rig: compiling in the background, once after an installation: minutes, in which commands wait longer"
+            )
     interrupt_at_signals()
     crash.watch_threads(sys.argv[1:])
     code = run(sys.argv[1:])

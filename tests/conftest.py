@@ -11,14 +11,11 @@ from hypothesis import HealthCheck, settings
 
 from daq.acquisition.session import Session
 from daq.lockstep.rig import LockstepRig
-from dynamics.compiled_code import keep_compiled_code
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
 from .effort import cases
-
-keep_compiled_code()  # as the command does; nothing imported above compiles
 
 settings.register_profile(
     "suite",

@@ -18,9 +18,9 @@ from typing import cast
 
 import numpy as np
 import scipy
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from rig_basics.arrays import Array
 
 _BASIS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6.0
@@ -249,7 +249,7 @@ def _penalty_band(rows: Array) -> Array:
     return band.reshape((knots + 3) * m, 4 * m)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _residuals(
     time: Array, signal: Array, phase: Array, start: float, step: float, coefficients: Array
 ) -> Array:  # pragma: no cover (compiled)
@@ -275,7 +275,7 @@ def _residuals(
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _differences(
     inverse: Array, beta: Array, owner: NDArray[np.int64], m: int, parts: int
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
@@ -296,7 +296,7 @@ def _differences(
     return spreads, energies
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _band_of_inverse(factor: Array) -> Array:  # pragma: no cover (compiled)
     """Return the lower band of (L Lᵀ)⁻¹ by columns from that of L, both (N, width) (Takahashi's recursion)."""
     total, width = factor.shape
@@ -319,7 +319,7 @@ def _band_of_inverse(factor: Array) -> Array:  # pragma: no cover (compiled)
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _moments(
     time: Array, signal: Array, phase: Array, start: float, step: float, knots: int, orders: int
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.friction_steps import friction_step
 from dynamics.motions.integrate import fastest_rate
@@ -19,7 +19,7 @@ GRID_S = 250e-6
 _MAX_BRAKE_LAG_S = 0.01  # time constant of the speed while the drive brakes at its current limit
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(part=True)
 def _turn(rotor: Array, h: float, target: float, ramp: float, slip: float, lag: float, out: Array) -> None:
     """Advance phase, speed and commanded speed by h; write (ψ, ω, α) at the end to out.
 
@@ -44,7 +44,7 @@ def _turn(rotor: Array, h: float, target: float, ramp: float, slip: float, lag: 
     out[0], out[1], out[2] = rotor[0], rotor[1], (goal - rotor[1]) / lag
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(part=True)
 def _constrain(y: Array, free: Array, held: bool, held_at: Array, angles: Array, drift: float) -> None:
     """Move locked pendulums towards their locks by one grid step, and keep a held column at its place.
 
@@ -60,7 +60,7 @@ def _constrain(y: Array, free: Array, held: bool, held_at: Array, angles: Array,
 
 
 # More than eight parameters: numba compiles scalars and arrays, not objects.
-@njit(cache=True, error_model="numpy")
+@compiled
 def _advance(
     y: Array,
     rotor: Array,
@@ -97,21 +97,24 @@ def _advance(
     k = np.empty((5, 8))
     modes, signed = np.empty(2), p.copy()
     ph = np.empty((3, 3))
-    ph[0] = phase
+    for j in range(3):
+        ph[0, j] = phase[j]
     for i in range(n):
         for _ in range(substeps):
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[1])
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[2])
             friction_step(y, h, ph[0], ph[1], ph[2], p, free, modes, signed, k[0], k[1], k[2], k[3], k[4])
-            ph[0] = ph[2]
+            for j in range(3):
+                ph[0, j] = ph[2, j]
         _constrain(y, free, held, held_at, angles, drift)
         for j in range(8):
             out[i, j] = y[j]
         out[i, 8], out[i, 9] = ph[0, 0], ph[0, 1]
-    phase[:] = ph[0]
+    for j in range(3):
+        phase[j] = ph[0, j]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _hermite(time_s: Array, first_s: float, rows: Array, value: int, rate: int) -> Array:
     """Interpolate a column of rows; see Trajectory.at."""
     out = np.empty(time_s.shape[0])

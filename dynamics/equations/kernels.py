@@ -13,7 +13,8 @@ that rotates with the rotor. Substitution of the first equation in the second gi
 whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
 The rest position of the springs of a bent shaft is b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with
 k u (1 + H u²), and a damper at the speed v resists with c v (1 + Q |v|). Each direction has its own H and Q.
-The rates may be complex: a complex step then gives exact derivatives of every result of this function.
+The rates may be complex: a complex step then gives exact derivatives of every result of this function. The terms are
+grouped by pendulum, and sine and cosine come together from dynamics.equations.sine_cosine: half the time.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 
 from dynamics.arrays import Array, Numbers
 from dynamics.compiled_code import compiled
+from dynamics.equations.sine_cosine import real_sine_cosine, sine_cosine
 
 # Order of the packed parameters (RotorParameters.packed)
 MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)
@@ -30,39 +32,13 @@ PACKED = 26
 DIMENSION = 8
 
 
-@compiled
+@compiled(part=True)
 def size_of(x: complex) -> complex:
     """|x| of a float; for a complex number its analytic continuation from the real axis."""
     return x if x.real >= 0.0 else -x
 
 
-@compiled(inline=True)
-def _pendulum(  # twelve arguments: numba inlines the call, so a tuple of them would cost its construction
-    theta: complex,
-    rate: complex,
-    psi: float,
-    omega: float,
-    alpha: float,
-    free: float,
-    s: complex,
-    j: complex,
-    c: complex,
-    d: complex,
-    f: complex,
-    air: complex,
-) -> tuple[complex, complex, complex, complex, complex, complex]:
-    """Direction n, reduced mass, force on the rotor and θ̈, the last two without the terms of p̈ and gravity."""
-    phi = psi + theta
-    cos_phi, sin_phi = np.cos(phi), np.sin(phi)
-    speed = omega + rate * free
-    bare = -free * (d * alpha + (c + air * size_of(rate)) * rate + f * speed * speed) / j
-    turn = alpha + bare
-    fx = s * (speed * speed * cos_phi + turn * sin_phi)
-    fy = s * (speed * speed * sin_phi - turn * cos_phi)
-    return sin_phi, -cos_phi, free * s * s / j, fx, fy, bare
-
-
-@compiled
+@compiled(contract=True)
 def rates(
     y: Numbers, psi: float, omega: float, alpha: float, p: Numbers, free_a: float, free_b: float, out: Numbers
 ) -> None:
@@ -74,50 +50,39 @@ def rates(
         p: packed parameters, shape (26,), float or complex.
         free_a, free_b: 1.0 for a released pendulum, 0.0 for a locked one.
     """
-    nax, nay, ma, fax, fay, bare_a = _pendulum(
-        y[2], y[6], psi, omega, alpha, free_a, p[SA], p[JA], p[CA], p[DA], p[FA], p[AA]
-    )
-    nbx, nby, mb, fbx, fby, bare_b = _pendulum(
-        y[3], y[7], psi, omega, alpha, free_b, p[SB], p[JB], p[CB], p[DB], p[FB], p[AB]
-    )
-    cos_psi, sin_psi = np.cos(psi), np.sin(psi)
-    w2 = omega * omega
+    sin_a, cos_a = sine_cosine(psi + y[2])
+    sin_b, cos_b = sine_cosine(psi + y[3])
+    sin_r, cos_r = real_sine_cosine(psi)
+    w2, wa, wb = omega * omega, omega + y[6] * free_a, omega + y[7] * free_b
     # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration
-    rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
-    ry = p[RC] * (alpha * cos_psi - w2 * sin_psi) + p[GRAVITY]
+    rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
+    ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
+    share_a, share_b = free_a / p[JA], free_b / p[JB]
+    own_a = -share_a * (p[DA] * alpha + (p[CA] + p[AA] * size_of(y[6])) * y[6] + p[FA] * wa * wa)
+    own_b = -share_b * (p[DB] * alpha + (p[CB] + p[AB] * size_of(y[7])) * y[7] + p[FB] * wb * wb)
+    mass_a, mass_b = share_a * p[SA] * p[SA], share_b * p[SB] * p[SB]
+    # force of each pendulum along its arm and along n = (sin φ, −cos φ)
+    along_a, along_b = p[SA] * wa * wa, p[SB] * wb * wb
+    across_a = p[SA] * (alpha + own_a) + mass_a * (sin_a * rx - cos_a * ry)
+    across_b = p[SB] * (alpha + own_b) + mass_b * (sin_b * rx - cos_b * ry)
     # stretch of the springs from their rest position
-    ux, uy = y[0] - (p[BX] * cos_psi - p[BY] * sin_psi), y[1] - (p[BX] * sin_psi + p[BY] * cos_psi)
-    dot_a = nax * rx + nay * ry
-    dot_b = nbx * rx + nby * ry
-    fx = (
-        -p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4]))
-        - p[K1] * ux * (1.0 + p[HX] * ux * ux)
-        + fax
-        + fbx
-        + p[SP] * (w2 * cos_psi + alpha * sin_psi)
-        + ma * dot_a * nax
-        + mb * dot_b * nbx
-    )
-    fy = (
-        -p[C2] * y[5] * (1.0 + p[QY] * size_of(y[5]))
-        - p[K2] * uy * (1.0 + p[HY] * uy * uy)
-        + fay
-        + fby
-        + p[SP] * (w2 * sin_psi - alpha * cos_psi)
-        + ma * dot_a * nay
-        + mb * dot_b * nby
-        - p[MASS] * p[GRAVITY]
-    )
-    mxx = p[MASS] - ma * nax * nax - mb * nbx * nbx
-    myy = p[MASS] - ma * nay * nay - mb * nby * nby
-    mxy = -ma * nax * nay - mb * nbx * nby
-    det = mxx * myy - mxy * mxy
-    ax = (myy * fx - mxy * fy) / det
-    ay = (mxx * fy - mxy * fx) / det
+    ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
+    fx = p[SP] * (w2 * cos_r + alpha * sin_r)
+    fx -= p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4])) + p[K1] * ux * (1.0 + p[HX] * ux * ux)
+    fy = p[SP] * (w2 * sin_r - alpha * cos_r) - p[MASS] * p[GRAVITY]
+    fy -= p[C2] * y[5] * (1.0 + p[QY] * size_of(y[5])) + p[K2] * uy * (1.0 + p[HY] * uy * uy)
+    fx += along_a * cos_a + across_a * sin_a + along_b * cos_b + across_b * sin_b
+    fy += along_a * sin_a - across_a * cos_a + along_b * sin_b - across_b * cos_b
+    mxx = p[MASS] - mass_a * sin_a * sin_a - mass_b * sin_b * sin_b
+    myy = p[MASS] - mass_a * cos_a * cos_a - mass_b * cos_b * cos_b
+    mxy = mass_a * sin_a * cos_a + mass_b * sin_b * cos_b
+    whole = 1.0 / (mxx * myy - mxy * mxy)
+    ax, ay = (myy * fx - mxy * fy) * whole, (mxx * fy - mxy * fx) * whole
+    px, py = ax + rx, ay + ry
     out[0], out[1], out[2], out[3] = y[4], y[5], y[6] * free_a, y[7] * free_b
     out[4], out[5] = ax, ay
-    out[6] = free_a * (p[SA] * (nax * ax + nay * ay + dot_a) / p[JA] + bare_a)
-    out[7] = free_b * (p[SB] * (nbx * ax + nby * ay + dot_b) / p[JB] + bare_b)
+    out[6] = share_a * p[SA] * (sin_a * px - cos_a * py) + own_a
+    out[7] = share_b * p[SB] * (sin_b * px - cos_b * py) + own_b
 
 
 @compiled

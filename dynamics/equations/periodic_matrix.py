@@ -93,7 +93,7 @@ def turning(n: int) -> Array:
     return g
 
 
-@compiled
+@compiled(part=True)
 def _turn_pairs(a: Array, c: float, s: float) -> None:
     """Replace a by Rᵀ a R; R rotates the pairs (0, 1) and (n/2, n/2 + 1) by an angle with cosine c and sine s."""
     n = a.shape[0]
@@ -107,7 +107,7 @@ def _turn_pairs(a: Array, c: float, s: float) -> None:
             a[first, column], a[first + 1, column] = c * upper + s * lower, c * lower - s * upper
 
 
-@compiled
+@compiled(part=True)
 def _turned_sizes(a: Array, c: float, s: float) -> None:
     """Replace a, a matrix of absolute values, by |R|ᵀ a |R|: bound on the sums of the terms of Rᵀ A R."""
     n = a.shape[0]

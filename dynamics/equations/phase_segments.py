@@ -59,7 +59,7 @@ class PhaseSegments:
         return out
 
 
-@compiled
+@compiled(part=True)
 def segment_of(t: float, segment: int, knots: Array) -> int:
     """Segment that contains t (at a knot the later one), searched upwards from a given segment."""
     while segment < len(knots) and t >= knots[segment]:

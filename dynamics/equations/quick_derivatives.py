@@ -24,10 +24,10 @@ from dynamics.equations.kernels import (
     SA,
     SP,
 )
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _pendulum_row(
     i: int, y: Array, p: Array, free: float, sine: float, cosine: float, px: float, py: float, out: Array
 ) -> None:
@@ -51,7 +51,7 @@ def _pendulum_row(
 
 @compiled(contract=True)
 def rate_derivatives(y: Array, psi: float, omega: float, p: Array, free_a: float, free_b: float, out: Array) -> None:
-    """Write the derivatives of the accelerations of dynamics.equations.quick_rates by the state, shape (4, 8), to out.
+    """Write the derivatives of the accelerations of dynamics.equations.kernels by the state, shape (4, 8), to out.
 
     Args:
         y: state, shape (8,).

@@ -81,7 +81,7 @@ def _check_finite(**values: float) -> None:
             raise OutsideDomain(f"{name} must be finite, got {value!r}")
 
 
-@compiled
+@compiled(part=True)
 def phase_at(t: float, segment: int, knots: Array, coefficients: Array, out: Array) -> int:
     """Write (ψ, ω, α) at t to out. Returns the segment, a hint for the next call."""
     last = len(knots) - 2

@@ -12,8 +12,8 @@ import numpy as np
 
 from dynamics.arrays import Array, Numbers, System
 from dynamics.compiled_code import compiled
+from dynamics.equations.kernels import rates
 from dynamics.equations.phase_segments import phase_within
-from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.dormand_prince import DENSE_NODES, DENSE_STAGES, DENSE_STEPS, ERROR_3, ERROR_5, INTERPOLANT
 
 # The tableau row by row without its zeros: stages 0–11, the end of the step (12), three stages for the interpolant.
@@ -27,7 +27,7 @@ POWERS = 8
 ORDER = 8
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _stages(
     begin: int,
     end: int,
@@ -58,10 +58,10 @@ def _stages(
         work[0], work[1], work[2], work[3] = y[0] + h * a0, y[1] + h * a1, y[2] + h * a2, y[3] + h * a3
         work[4], work[5], work[6], work[7] = y[4] + h * a4, y[5] + h * a5, y[6] + h * a6, y[7] + h * a7
         phase_within(t + NODE[row] * h, first, last, knots, origins, cubics, phase)
-        quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
+        rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k[row])
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def explicit_step(
     y: Numbers, t: float, h: float, first: int, last: int, system: System, k: Numbers, end: Numbers, phase: Array
 ) -> None:
@@ -77,7 +77,7 @@ def explicit_step(
     _stages(1, 13, y, t, h, first, last, system, k, end, phase)
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def explicit_error(h: float, k: Array, scale: Array) -> float:
     """Estimated local error of the step: root mean square over scale, shape (8,)."""
     five = three = 0.0
@@ -93,7 +93,7 @@ def explicit_error(h: float, k: Array, scale: Array) -> float:
     return abs(h) * five / np.sqrt(8.0 * (five + 0.01 * three))
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def explicit_polynomial(
     y: Numbers,
     end: Numbers,
@@ -133,7 +133,7 @@ def explicit_polynomial(
         coefficients[7, i] = -f6
 
 
-@compiled  # without contraction, so that all callers get identical bits
+@compiled(part=True)  # without contraction, so that all callers get identical bits
 def evaluate(coefficients: Numbers, x: float, out: Numbers) -> None:
     """Write a step's polynomial at x = (time − t)/h to out, shape (8,)."""
     for i in range(8):

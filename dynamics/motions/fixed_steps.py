@@ -24,7 +24,8 @@ def integrate(
     """
     out = np.empty((len(times), 8))
     y = y0.copy()
-    out[0] = y
+    for state in range(8):  # numba compiles an assignment of a row slowly
+        out[0, state] = y[state]
     scratch = np.empty((5, 8))
     ph = np.empty((3, 3))
     segment = phase_at(times[0], 0, knots, coefficients, ph[0])
@@ -50,6 +51,8 @@ def integrate(
                 scratch[3],
                 scratch[4],
             )
-            ph[0] = ph[2]
-        out[i] = y
+            for part in range(3):
+                ph[0, part] = ph[2, part]
+        for state in range(8):
+            out[i, state] = y[state]
     return out

@@ -20,7 +20,7 @@ from dynamics.equations.speed_history import phase_at
 from dynamics.errors import OutsideDomain
 
 
-@compiled
+@compiled(part=True)
 def choose_modes(y: Array, phase: Array, p: Array, free: Array, modes: Array, scratch: Array) -> None:
     """Write the mode of each pendulum in the next step to modes: 1 forward, −1 backward, 0 sticking.
 
@@ -47,7 +47,7 @@ def choose_modes(y: Array, phase: Array, p: Array, free: Array, modes: Array, sc
             modes[i] = np.sign(torque)
 
 
-@compiled
+@compiled(part=True)
 def friction_step(
     y: Array,
     h: float,

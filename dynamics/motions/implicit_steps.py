@@ -20,7 +20,6 @@ from dynamics.arrays import Array, Complex, Indices, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import jacobian, rates
 from dynamics.equations.phase_segments import phase_within
-from dynamics.equations.quick_rates import quick_rates
 
 SOLVED = 5  # number of stages
 ORDER = 6  # of the error estimate and of the polynomial, per step
@@ -59,7 +58,7 @@ def _method() -> tuple[Array, Array, Complex, Complex, Complex, Array, Array]:
 NODES, _INVERSE, _EIGENVALUE, _VECTORS, _BACK, _ERROR, _INTERPOLATION = _method()
 
 
-@compiled
+@compiled(part=True)
 def _factor(m: Complex, pivot: Indices) -> bool:
     """LU factors of m, shape (8, 8), in place with row exchanges; False if m is singular."""
     for c in range(8):
@@ -81,7 +80,7 @@ def _factor(m: Complex, pivot: Indices) -> bool:
     return True
 
 
-@compiled
+@compiled(part=True)
 def _solve(m: Complex, pivot: Indices, b: Complex) -> None:
     """Solve with the factors of _factor; b is replaced by the solution, shape (8,)."""
     for c in range(8):
@@ -95,7 +94,7 @@ def _solve(m: Complex, pivot: Indices, b: Complex) -> None:
         b[c] /= m[c, c]
 
 
-@compiled
+@compiled(part=True)
 def _residuals(
     y: Array,
     t: float,
@@ -114,13 +113,13 @@ def _residuals(
         for i in range(8):
             stage[i] = y[i] + z[j, i]
         phase_within(t + NODES[j] * h, first, last, knots, origins, cubics, phase)
-        quick_rates(stage, phase[0], phase[1], phase[2], p, free_a, free_b, residual, j)
+        rates(stage, phase[0], phase[1], phase[2], p, free_a, free_b, residual[j])
         for i in range(8):
             for other in range(5):
                 residual[j, i] -= _INVERSE[j, other] / h * z[other, i]
 
 
-@compiled
+@compiled(part=True)
 def _correct(residual: Array, lu: Complex, pivot: Indices, scale: Array, w: Complex, z: Array) -> float:
     """One simplified Newton correction of the stages; returns its root mean square over scale."""
     for e in range(3):
@@ -140,7 +139,7 @@ def _correct(residual: Array, lu: Complex, pivot: Indices, scale: Array, w: Comp
     return np.sqrt(size / 40.0)
 
 
-@compiled
+@compiled(part=True)
 def _newton(
     y: Array,
     t: float,
@@ -171,7 +170,7 @@ def _newton(
     return False
 
 
-@compiled
+@compiled(part=True)
 def implicit_step(
     y: Array,
     t: float,
@@ -220,7 +219,7 @@ def implicit_step(
     return _norm(error, scale)
 
 
-@compiled
+@compiled(part=True)
 def _norm(error: Complex, scale: Array) -> float:
     total = 0.0
     for i in range(8):
@@ -228,7 +227,7 @@ def _norm(error: Complex, scale: Array) -> float:
     return np.sqrt(total / 8.0)
 
 
-@compiled
+@compiled(part=True)
 def implicit_polynomial(y: Array, z: Array, coefficients: Array) -> None:
     """Write the motion over the step as powers of (time − t)/h, shape (8 powers, 8). The last two powers are zero."""
     for i in range(8):
@@ -241,7 +240,7 @@ def implicit_polynomial(y: Array, z: Array, coefficients: Array) -> None:
             coefficients[power + 1, i] = total
 
 
-@compiled
+@compiled(part=True)
 def guess_stages(coefficients: Array, ratio: float, end: Array, z: Array) -> None:
     """Initial stages of the next step from the last step's polynomial; ratio is next over last step length."""
     for s in range(5):
@@ -253,7 +252,7 @@ def guess_stages(coefficients: Array, ratio: float, end: Array, z: Array) -> Non
             z[s, i] = value - end[i]
 
 
-@compiled
+@compiled(part=True)
 def jacobian_at(y: Array, t: float, first: int, last: int, system: RealSystem, phase: Array, j: Array) -> None:
     """Write the Jacobian of the rates at one instant to j, shape (8, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
@@ -261,7 +260,7 @@ def jacobian_at(y: Array, t: float, first: int, last: int, system: RealSystem, p
     jacobian(y, phase[0], phase[1], phase[2], p, free_a, free_b, j)
 
 
-@compiled
+@compiled(part=True)
 def differentiate_stages(
     stages: Array, t: float, h: float, first: int, last: int, system: RealSystem, packed: Array, dy: Array, dz: Array
 ) -> None:

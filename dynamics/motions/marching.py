@@ -25,7 +25,7 @@ _SLACK = 3.0  # speed, in tolerances, below which the sign of a slide that has j
 _MAX_KNOT_ERROR = 0.05  # error of a step across a knot, in tolerances
 
 
-@compiled
+@compiled(part=True)
 def _margin(
     pendulum: int, watch: int, y: Array, t: float, first: int, last: int, system: RealSystem, work: Array, phase: Array
 ) -> float:
@@ -38,7 +38,7 @@ def _margin(
     return abs(p[FA + pendulum]) * phase[1] * phase[1] - abs(torque)
 
 
-@compiled
+@compiled(part=True)
 def _mode_end(
     pendulum: int,
     watch: int,
@@ -76,7 +76,7 @@ def _mode_end(
     return 2.0
 
 
-@compiled
+@compiled(part=True)
 def _landing(
     t: float, h: float, limit: float, segment: int, knots: Array, jumps: Array, tolerance: float
 ) -> tuple[float, int]:
@@ -92,7 +92,7 @@ def _landing(
     return end, last
 
 
-@compiled
+@compiled(part=True)
 def _earliest_mode_end(
     watch: tuple[int, int],
     slack: float,
@@ -118,7 +118,7 @@ def _earliest_mode_end(
     return ended, share
 
 
-@compiled
+@compiled(part=True)
 def _guess(y: Array, polynomial: Array, h: float, last_h: float, z: Array) -> None:
     """Initial stages of an implicit step: the last step's polynomial extrapolated, or zero."""
     if last_h > 0.0:
@@ -127,14 +127,14 @@ def _guess(y: Array, polynomial: Array, h: float, last_h: float, z: Array) -> No
         z.fill(0.0)
 
 
-@compiled
+@compiled(part=True)
 def _after_rejection(h: float, error: float, exponent: float) -> float:
     if 0.0 <= error < np.inf:
         return h * max(0.2, 0.9 * error**-exponent)
     return 0.2 * h
 
 
-@compiled
+@compiled(part=True)
 def _after_success(
     h: float, proposed: float, error: float, last_error: float, rejected: bool, exponent: float
 ) -> float:
@@ -144,7 +144,7 @@ def _after_success(
     return max(proposed, grown) if h < 0.999 * proposed else grown
 
 
-@compiled
+@compiled(part=True)
 def _rates_here(y: Array, t: float, segment: int, system: RealSystem, phase: Array, k: Array) -> None:
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, segment, segment, knots, origins, cubics, phase)

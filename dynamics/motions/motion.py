@@ -146,7 +146,7 @@ def _interpolate(times: Array, spans: Array, coefficients: Array, out: Array) ->
         evaluate(coefficients[step], (times[i] - spans[step, 0]) / spans[step, 1], out[i])
 
 
-@compiled
+@compiled(part=True)
 def _height(polynomial: Array, x: float, level: float) -> float:
     value = polynomial[7]
     for power in range(6, -1, -1):

@@ -168,7 +168,7 @@ def _write_until(times: Array, begin: float, states: Numbers, y: Numbers, done: 
     return done
 
 
-@compiled
+@compiled(part=True)
 def _last_segment(end: float, segment: int, knots: Array) -> int:
     while segment < len(knots) and knots[segment] < end:
         segment += 1

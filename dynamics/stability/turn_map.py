@@ -13,10 +13,10 @@ import numpy as np
 
 from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
+from dynamics.equations.kernels import rates
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
 from dynamics.equations.quick_derivatives import rate_derivatives
-from dynamics.equations.quick_rates import quick_rates
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.explicit_steps import BEGIN, COLUMN, NODE, VALUE
 from dynamics.motions.locked_motion import damping_rates
@@ -49,7 +49,7 @@ def _derivatives(states: Array, steps: int, period: float, system: RealSystem, o
                 if row == 12:
                     break
                 phase_within((s + NODE[row]) * h, 1, 1, knots, origins, cubics, phase)
-                quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
+                rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k[row])
                 rate_derivatives(work, phase[0], phase[1], p, free_a, free_b, by_state)
                 for c in range(8):
                     tangents[row, 0, c], tangents[row, 1, c] = moved[4, c], moved[5, c]

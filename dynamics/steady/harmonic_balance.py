@@ -111,7 +111,7 @@ def solve_balance(
     return None if last < 0 else (states, last)
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _sample(
     c: Array,
     bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
@@ -130,7 +130,7 @@ def _sample(
             states[j, i], states[j, 4 + i] = at, speed * rate
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _add_block(
     transform: Array, factor: Array, value: Array, rate_factor: Array, slope: Array, matrix: Array, top: int, left: int
 ) -> None:
@@ -146,7 +146,7 @@ def _add_block(
                 row[left + j] -= f * change[j]
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _linearise(
     states: Array,
     c: Array,
@@ -248,7 +248,7 @@ def _eliminate(a: Array, b: Array) -> bool:
     return True
 
 
-@compiled
+@compiled(part=True)
 def _solve(matrix: Array, right: Array) -> bool:
     """Write the solution to right. False if it does not exist."""
     if not _scale_rows(matrix, right):

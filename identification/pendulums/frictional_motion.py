@@ -14,13 +14,13 @@ because a change of the parameters moves the instant by −S⁻[θ̇_i]/f⁻[θ�
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, JA, K1, K2, MASS, SA
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
-from identification.pendulums.variational import WHOLE, disk_forces, follow, solve_disk
+from identification.pendulums.variational import WHOLE, copy_rows, disk_forces, follow, solve_disk
 from rig_basics.arrays import Array
 
 COLUMNS = 19
@@ -31,7 +31,7 @@ _PAST = 1e-3  # extension of a step beyond the end of sticking, as a share of th
 _MOST_SWITCHES = 40_000
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _rates(
     y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], f: Array, own: Array, whole: Array
 ) -> None:
@@ -70,13 +70,14 @@ def _rates(
         own[i, 6], own[i, 7] = own[i, 0] * px + own[i, 1] * py, p[SA + i] * along_n - p[DA + i] * alpha
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _linearised(
     y: Array, phase: Array, p: Array, mode: NDArray[np.int64], own: Array, whole: Array, g: Array, d: Array
 ) -> None:
     """Write ∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19) from the output of `_rates`; g is scratch."""
     alpha = phase[2]
-    g[:] = 0.0
+    for c in range(COLUMNS):
+        g[0, c], g[1, c] = 0.0, 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
     g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
@@ -97,7 +98,8 @@ def _linearised(
         d[1, c] = whole[2] * g[0, c] + whole[1] * g[1, c]
     for i in range(2):
         if mode[i] == 0:
-            d[2 + i] = 0.0
+            for c in range(COLUMNS):
+                d[2 + i, c] = 0.0
             continue
         share = p[SA + i] / p[JA + i]
         for c in range(COLUMNS):
@@ -109,7 +111,7 @@ def _linearised(
         d[2 + i, 17 + i] -= mode[i] * own[i, 4] ** 2 / p[JA + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _step(
     y: Array,
     t: float,
@@ -140,7 +142,7 @@ def _step(
     return segment
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _over(
     y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], i: int, f: Array, own: Array, whole: Array
 ) -> tuple[float, float]:
@@ -152,7 +154,7 @@ def _over(
     return own[i, 7], abs(own[i, 7]) - max(0.0, torque[i] + p[FA + i] * phase[1] * phase[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _begun(
     y: Array,
     phase: Array,
@@ -175,7 +177,7 @@ def _begun(
     _rates(y, phase, p, torque, mode, f, own, whole)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def frictional_rates(start: Array, phase: Array, p: Array, torque: Array) -> Array:
     """Return the initial ẏ (8,) of `frictional_motion`, with sticking or sliding pendulums.
 
@@ -188,7 +190,7 @@ def frictional_rates(start: Array, phase: Array, p: Array, torque: Array) -> Arr
     return f
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(part=True)
 def _ending(y: Array, out: Array, mode: NDArray[np.int64], i: int, acceleration: float, h: float) -> float:
     """Return the share of a step after which sliding ends, by the parabola through the rates; 2 if it does not end."""
     r0, r1 = y[6 + i], out[6 + i]
@@ -202,8 +204,8 @@ def _ending(y: Array, out: Array, mode: NDArray[np.int64], i: int, acceleration:
     return max(part, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _half(
+@compiled(contract=True, part=True)
+def _follow_alone(
     y: Array,
     slope: Array,
     end: Array,
@@ -211,32 +213,31 @@ def _half(
     t: float,
     h: float,
     segment: int,
-    knots: Array,
-    coefficients: Array,
-    p: Array,
-    torque: Array,
-    mode: NDArray[np.int64],
-    wy: Array,
-    phase: Array,
-    f: Array,
-    own: Array,
-    whole: Array,
-    g: Array,
-    d: Array,
-    wanted: bool,
-) -> int:
-    """Write ∂f/∂(y, p) at the middle of a step into d[1], by the cubic through its ends; d[2] is that at its end."""
-    if not wanted:
-        return segment
-    segment = phase_at(t + 0.5 * h, segment, knots, coefficients, phase)
+    system: tuple[Array, Array, Array, Array, NDArray[np.int64]],
+    middle: tuple[Array, Array, Array, Array, Array, Array],
+    columns: tuple[Array, Array, Array, Array, Array, Array],
+) -> None:
+    """Make a step of the derivatives over one step of the motion, whose middle is on the cubic through its ends.
+
+    Args:
+        y, slope, end, end_slope: states and rates at the ends of the step, shapes (8,).
+        t, h, segment: begin and length of the step, s; hint for `phase_at`.
+        system: knots, coefficients, p, torque, mode.
+        middle: scratch: state, rates, phase, own, whole, g.
+        columns: u, v, d, bent, rates, moved of `follow`; d[0] and d[2] belong to the ends, d[1] is written.
+    """
+    knots, coefficients, p, torque, mode = system
+    wy, f, phase, own, whole, g = middle
+    u, v, d, bent, rates, moved = columns
+    phase_at(t + 0.5 * h, segment, knots, coefficients, phase)
     for r in range(8):
         wy[r] = 0.5 * (y[r] + end[r]) + 0.125 * h * (slope[r] - end_slope[r])
     _rates(wy, phase, p, torque, mode, f, own, whole)
     _linearised(wy, phase, p, mode, own, whole, g, d[1])
-    return segment
+    follow(u, v, 0.5 * h, d, bent, rates, moved)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, nogil=True)
 def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.25 to 2.2 times as long
     start: Array,
     start_s: float,
@@ -263,16 +264,26 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.
         of transitions are NaN.
     """
     n = len(times)
-    states, derivatives = np.full((n, 8), np.nan), np.full((n if slopes else 0, 8, COLUMNS), np.nan)
-    y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))
-    for i in range(4):
-        u[i, i], v[i, 4 + i] = 1.0, 1.0
+    states, derivatives = np.empty((n, 8)), np.empty((n if slopes else 0, 8, COLUMNS))
+    for row in range(n):
+        for r in range(8):
+            states[row, r] = np.nan
+            for c in range(COLUMNS if slopes else 0):
+                derivatives[row, r, c] = np.nan
+    y, s = start.copy(), np.zeros((8, COLUMNS))
+    u, v = s[:4], s[4:]
+    for i in range(8):
+        s[i, i] = 1.0
     k, wy, phase, at, out = np.empty((4, 8)), np.empty(8), np.empty((3, 3)), np.empty(3), np.empty(8)
     own, whole, g, d = np.empty((2, 8)), np.empty(WHOLE), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
-    f, before, jump = np.empty(8), np.empty(8), np.empty(COLUMNS)
-    last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # s; pending step of the derivatives
-    mode, held, kept = np.zeros(2, np.int64), np.zeros(2), np.full(2, -np.inf)
+    f, last_y, last_f, waiting = np.empty(8), np.empty(8), np.empty(8), 0.0  # s; pending step of the derivatives
+    mode, held, kept = np.zeros(2, np.int64), np.zeros(2), np.array((-np.inf, -np.inf))
+    system, middle, columns = (
+        (knots, coefficients, p, torque, mode),
+        (wy, k[1], phase[1], own, whole, g),
+        (u, v, d, bent, rates, moved),
+    )
     segment, t, switches = phase_at(start_s, 0, knots, coefficients, at), start_s, 0
     _begun(y, at, p, torque, mode, held, k[0], own, whole)
     _linearised(y, at, p, mode, own, whole, g, d[0])
@@ -308,80 +319,38 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.
                 )
             switching = ends >= 0 or loose >= 0
             if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the pending step is made separately
-                segment = _half(
-                    last_y,
-                    last_f,
-                    y,
-                    k[0],
-                    t - waiting,
-                    waiting,
-                    segment,
-                    knots,
-                    coefficients,
-                    p,
-                    torque,
-                    mode,
-                    wy,
-                    at,
-                    f,
-                    own,
-                    whole,
-                    g,
-                    d,
-                    slopes,
-                )
                 if slopes:
-                    follow(u, v, 0.5 * waiting, d, bent, rates, moved)
-                d[0], waiting = d[2], 0.0
+                    _follow_alone(last_y, last_f, y, k[0], t - waiting, waiting, segment, system, middle, columns)
+                copy_rows(d[2], d[0])
+                waiting = 0.0
             t += share * h
             segment = phase_at(t, segment, knots, coefficients, at)
             _rates(out, at, p, torque, mode, f, own, whole)
             if slopes:
                 _linearised(out, at, p, mode, own, whole, g, d[2])
             if switching:
-                before[:] = f
-                segment = _half(
-                    y,
-                    k[0],
-                    out,
-                    before,
-                    t - share * h,
-                    share * h,
-                    segment,
-                    knots,
-                    coefficients,
-                    p,
-                    torque,
-                    mode,
-                    wy,
-                    at,
-                    f,
-                    own,
-                    whole,
-                    g,
-                    d,
-                    slopes,
-                )
                 if slopes:
-                    follow(u, v, 0.5 * share * h, d, bent, rates, moved)
-                segment = phase_at(t, segment, knots, coefficients, at)
-                f[:] = before
-                d[0] = d[2]
+                    _follow_alone(y, k[0], out, f, t - share * h, share * h, segment, system, middle, columns)
+                copy_rows(d[2], d[0])
             elif waiting > 0.0:
                 if slopes:
                     follow(u, v, h, d, bent, rates, moved)
-                d[0], waiting = d[2], 0.0
+                copy_rows(d[2], d[0])
+                waiting = 0.0
             else:
-                d[1], waiting = d[2], h
-                last_y[:], last_f[:] = y, k[0]
-            y[:], k[0] = out, f
+                copy_rows(d[2], d[1])
+                waiting = h
+                for r in range(8):
+                    last_y[r], last_f[r] = y[r], k[0, r]
+            for r in range(8):
+                y[r], k[0, r] = out[r], f[r]
             if ends >= 0:
                 switches += 1
                 if switches > _MOST_SWITCHES:
                     return states, derivatives
                 came = mode[ends]
                 y[6 + ends] = 0.0
-                needed, over = _over(y, at, p, torque, mode, ends, f, own, whole)
+                needed, over = _over(y, at, p, torque, mode, ends, k[1], own, whole)
                 grips = torque[ends] + p[FA + ends] * at[1] * at[1] > 0.0
                 # a slide that ends where it began is at a peak of the torque that just moves it: it sticks for a step
                 if grips and share * h <= _LEAST_SLIDE_S:
@@ -392,43 +361,22 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.
                     mode[ends] = -came
                 y[6 + ends] = mode[ends] * 2.0 * _MAX_ZERO_RATE_RAD_S
                 _rates(y, at, p, torque, mode, k[0], own, whole)
-                if before[6 + ends] != 0.0:
-                    jump[:] = v[2 + ends] / before[6 + ends]
-                    for r in range(4):
-                        for c in range(COLUMNS):
-                            u[r, c] += (k[0, r] - before[r]) * jump[c]
-                            v[r, c] += (k[0, 4 + r] - before[4 + r]) * jump[c]
+                if f[6 + ends] != 0.0:
+                    for c in range(COLUMNS):
+                        jump = v[2 + ends, c] / f[6 + ends]
+                        for r in range(8):
+                            s[r, c] += (k[0, r] - f[r]) * jump
             slides = False
             for i in range(2):
                 held[i] = 0.0
                 if mode[i] == 0 and t >= kept[i]:
-                    needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
+                    needed, held[i] = _over(y, at, p, torque, mode, i, k[1], own, whole)
                     if held[i] > 0.0:
                         if waiting > 0.0:  # the pending step of the derivatives is in the old mode
-                            segment = _half(
-                                last_y,
-                                last_f,
-                                y,
-                                k[0],
-                                t - waiting,
-                                waiting,
-                                segment,
-                                knots,
-                                coefficients,
-                                p,
-                                torque,
-                                mode,
-                                wy,
-                                phase[1],
-                                f,
-                                own,
-                                whole,
-                                g,
-                                d,
-                                slopes,
-                            )
                             if slopes:
-                                follow(u, v, 0.5 * waiting, d, bent, rates, moved)
+                                _follow_alone(
+                                    last_y, last_f, y, k[0], t - waiting, waiting, segment, system, middle, columns
+                                )
                             waiting = 0.0
                         mode[i], slides = 1 if needed > 0 else -1, True
                         y[6 + i] = mode[i] * 2.0 * _MAX_ZERO_RATE_RAD_S
@@ -436,33 +384,12 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.
                 _rates(y, at, p, torque, mode, k[0], own, whole)
                 _linearised(y, at, p, mode, own, whole, g, d[0])
         if waiting > 0.0:
-            segment = _half(
-                last_y,
-                last_f,
-                y,
-                k[0],
-                t - waiting,
-                waiting,
-                segment,
-                knots,
-                coefficients,
-                p,
-                torque,
-                mode,
-                wy,
-                at,
-                f,
-                own,
-                whole,
-                g,
-                d,
-                slopes,
-            )
             if slopes:
-                follow(u, v, 0.5 * waiting, d, bent, rates, moved)
-            segment = phase_at(t, segment, knots, coefficients, at)
-            d[0], waiting = d[2], 0.0
-        states[row] = y
+                _follow_alone(last_y, last_f, y, k[0], t - waiting, waiting, segment, system, middle, columns)
+            copy_rows(d[2], d[0])
+            waiting = 0.0
+        for r in range(8):
+            states[row, r] = y[r]
         if slopes:
-            derivatives[row, :4], derivatives[row, 4:] = u, v
+            copy_rows(s, derivatives[row])
     return states, derivatives

@@ -12,8 +12,8 @@ S_i (2 φ̇ e + bare' n).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import (
     AA,
     BX,
@@ -37,7 +37,7 @@ from dynamics.equations.kernels import (
     SA,
     SP,
 )
-from dynamics.equations.quick_rates import real_sine_cosine
+from dynamics.equations.sine_cosine import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from rig_basics.arrays import Array
 
@@ -47,7 +47,15 @@ PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
 """Packed parameters (dynamics.equations.kernels) of columns 8 … 14; columns 0 … 7 belong to the start state."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(part=True)
+def copy_rows(source: Array, target: Array) -> None:
+    """Copy a matrix (r, c) into another of its shape. numba compiles an assignment of slices slowly."""
+    for r in range(source.shape[0]):
+        for c in range(source.shape[1]):
+            target[r, c] = source[r, c]
+
+
+@compiled(contract=True, part=True)
 def suspension(y: Array, cos_r: float, sin_r: float, p: Array, whole: Array) -> None:
     """Write the factors of k1, k2, c1, c2 and their derivatives by stretch and speed into whole[5:13]."""
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
@@ -56,7 +64,7 @@ def suspension(y: Array, cos_r: float, sin_r: float, p: Array, whole: Array) -> 
     whole[9], whole[10], whole[11], whole[12] = 1.0 + 3.0 * hx, 1.0 + 3.0 * hy, 1.0 + 2.0 * qx, 1.0 + 2.0 * qy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def disk_forces(
     y: Array, psi: float, omega: float, alpha: float, p: Array, whole: Array
 ) -> tuple[float, float, float, float]:
@@ -73,7 +81,7 @@ def disk_forces(
     return -p[RC] * whole[3], -p[RC] * whole[4] + p[GRAVITY], fx, fy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def solve_disk(mxx: float, myy: float, mxy: float, fx: float, fy: float, f: Array, whole: Array) -> None:
     """Write the disk's acceleration into f[4:6] and the inverse of its mass matrix (xx, yy, xy) into whole[:3]."""
     share = 1.0 / (mxx * myy - mxy * mxy)
@@ -81,7 +89,7 @@ def solve_disk(mxx: float, myy: float, mxy: float, fx: float, fy: float, f: Arra
     f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _accelerations(
     y: Array, psi: float, omega: float, alpha: float, p: Array, f: Array, own: Array, whole: Array
 ) -> None:
@@ -116,10 +124,11 @@ def _accelerations(
         f[6 + i] = own[i, 2] / p[JA + i] * own[i, 6] + own[i, 4]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _linearised(y: Array, omega: float, alpha: float, p: Array, own: Array, whole: Array, g: Array, d: Array) -> None:
     """Write ∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15) from the output of `_accelerations`; g is scratch."""
-    g[:] = 0.0
+    for c in range(COLUMNS):
+        g[0, c], g[1, c] = 0.0, 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
     g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
     g[0, 14], g[1, 14] = whole[3], whole[4]
@@ -144,7 +153,7 @@ def _linearised(y: Array, omega: float, alpha: float, p: Array, own: Array, whol
         d[2 + i, 12 + i] -= y[6 + i] / p[JA + i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _bent(d: Array, u: Array, v: Array, out: Array) -> None:
     """Write the second time derivatives of S (4, c) into out, from ∂f/∂(y, p) in d (4, c), its angles u and rates v."""
     columns = d.shape[1]
@@ -166,7 +175,7 @@ def _bent(d: Array, u: Array, v: Array, out: Array) -> None:
             row[c] += d[i, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def follow(u: Array, v: Array, h: float, d: Array, bent: Array, rates: Array, moved: Array) -> None:
     """Make one classical Runge–Kutta step of 2 h for the angles u and rates v of S, in place.
 
@@ -177,8 +186,8 @@ def follow(u: Array, v: Array, h: float, d: Array, bent: Array, rates: Array, mo
         bent, rates, moved: scratch, shapes (4, 4, c), (4, 4, c), (4, c).
     """
     columns = u.shape[1]
-    moved[:] = u
-    rates[0] = v
+    copy_rows(u, moved)
+    copy_rows(v, rates[0])
     for stage in range(4):
         _bent(d[(stage + 1) // 2], moved, rates[stage], bent[stage])
         if stage == 3:
@@ -194,7 +203,7 @@ def follow(u: Array, v: Array, h: float, d: Array, bent: Array, rates: Array, mo
             v[r, c] += h / 3.0 * (bent[0, r, c] + 2.0 * bent[1, r, c] + 2.0 * bent[2, r, c] + bent[3, r, c])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, nogil=True)
 def free_motion(
     start: Array,
     start_s: float,
@@ -219,9 +228,10 @@ def free_motion(
         States (n, 8) and derivatives (n, 8, 15), or (0, 8, 15) without, by the start state and PARAMETER_COLUMNS.
     """
     states, derivatives = np.empty((len(times), 8)), np.empty((len(times) if slopes else 0, 8, COLUMNS))
-    y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))
-    for i in range(4):
-        u[i, i], v[i, 4 + i] = 1.0, 1.0
+    y, s = start.copy(), np.zeros((8, COLUMNS))
+    u, v = s[:4], s[4:]
+    for i in range(8):
+        s[i, i] = 1.0
     k, wy, phase = np.empty((4, 8)), np.empty(8), np.empty((3, 3))
     own, whole, g, d = np.empty((2, 8)), np.empty(WHOLE), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
@@ -243,15 +253,17 @@ def free_motion(
                     _accelerations(wy, phase[at, 0], phase[at, 1], phase[at, 2], p, k[stage], own, whole)
                 for r in range(8):
                     y[r] += h / 6.0 * (k[0, r] + 2.0 * k[1, r] + 2.0 * k[2, r] + k[3, r])
-                phase[0] = phase[2]
+                for r in range(3):
+                    phase[0, r] = phase[2, r]
                 _accelerations(y, phase[0, 0], phase[0, 1], phase[0, 2], p, k[0], own, whole)
                 if slopes:
                     _linearised(y, phase[0, 1], phase[0, 2], p, own, whole, g, d[1 + half])
             if slopes:
                 follow(u, v, h, d, bent, rates, moved)
-                d[0] = d[2]
+                copy_rows(d[2], d[0])
         t = times[i]
-        states[i] = y
+        for r in range(8):
+            states[i, r] = y[r]
         if slopes:
-            derivatives[i, :4], derivatives[i, 4:] = u, v
+            copy_rows(s, derivatives[i])
     return states, derivatives

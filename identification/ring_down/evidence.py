@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from identification.errors import FitFailed, NotIdentifiable
 from identification.ring_down.decay import COARSE_S, FittedDecay
 from identification.ring_down.disturbances import is_disturbed, mode_size
@@ -189,7 +189,7 @@ def _loudest_tone(channel: SensorRecord) -> tuple[float, float]:
     return peak, float(power[near].sum() / max(float(power.sum()), 1e-300))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _loudest(value: np.ndarray, keep: np.ndarray, size: int) -> tuple[int, float]:
     """First index of the stretch of `size` samples whose kept ones have the largest scatter, and their mean."""
     best, begin, level = -1.0, 0, 0.0

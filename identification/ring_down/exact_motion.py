@@ -11,8 +11,8 @@ repeated.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from identification.ring_down.backbone import REFERENCE_M, Rates
 from rig_basics.arrays import Array, Complex
 
@@ -51,7 +51,7 @@ def lacking(rates: Rates, start: complex, scale: float, time_s: Array, spread_s2
     return exact[0] + 0.5 * spread_s2 * exact[2] - (start * wave).real
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _integrated(
     omega: float, zeta: float, cubic: float, drag: float, q: float, v: float, time_s: Array, step: float
 ) -> Array:  # pragma: no cover

@@ -15,10 +15,10 @@ from itertools import pairwise
 from typing import cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import gammainc, ndtr, ndtri
 
+from dynamics.compiled_code import compiled
 from identification.ring_down.backbone import course
 from identification.ring_down.decay import FittedDecay, once_per_fit
 from identification.ring_down.exact_motion import exact_motion
@@ -62,7 +62,7 @@ def _usual(off: np.ndarray) -> float:
     return _NORMAL * float(np.median(np.abs(off))) if len(off) else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _largest_bend(value: np.ndarray) -> float:
     """Largest distance of a sample from the mean of its neighbours."""
     largest = 0.0

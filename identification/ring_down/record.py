@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine
@@ -293,7 +293,7 @@ def sample_noise(value: np.ndarray) -> float:
     return max(float(np.median(chunks)), 1e-12 * float(np.ptp(value)) + 1e-300)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _average(
     time: np.ndarray, value: np.ndarray, keep: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -331,7 +331,7 @@ def _average(
     return mean[:used].copy(), spread[:used].copy(), level[:used].copy(), count[:used].copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
     """Evaluate a smooth function at every sample from its derivatives at block centres.
 
@@ -352,7 +352,7 @@ def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndar
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def farthest_from_taylor(
     time: np.ndarray, value: np.ndarray, kept: np.ndarray, centre: np.ndarray, derivatives: np.ndarray
 ) -> tuple[float, float, float]:
@@ -370,12 +370,12 @@ def farthest_from_taylor(
     return largest, lowest, highest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(part=True)
 def _taylor(u: float, d: np.ndarray, j: int) -> float:
     return d[0, j] + u * (d[1, j] + u * (0.5 * d[2, j] + u * (d[3, j] / 6 + u * d[4, j] / 24)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _average_wave(
     time: np.ndarray, keep: np.ndarray, width: float, growth: float, omega: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -18,8 +18,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from identification.ring_down.modes import rate, rate_derivatives
 from identification.run_up.forced_oscillator import Excitation
 from identification.run_up.slow_roll import PhasorMeans
@@ -128,7 +128,7 @@ def forcing(drive: Excitation) -> np.ndarray:
     return np.stack([p, 1j * speed * p], axis=1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(part=True)
 def _rates(  # numba kernel: a settings object is not supported
     y: Array,
     drive: Complex,
@@ -171,7 +171,7 @@ def _rates(  # numba kernel: a settings object is not supported
         out[10, 1] += k * p.imag
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _march(  # numba kernel: a settings object is not supported
     drive: Complex,
     step: float,
@@ -219,7 +219,7 @@ def _march(  # numba kernel: a settings object is not supported
             at += 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _seen(times: Array, spread: Array, start: float, step: float, grid: Array) -> Array:
     """Block means of s and its derivatives, and in the last row the rate of s, shape (unknowns + 1, n)."""
     unknowns = grid.shape[1]

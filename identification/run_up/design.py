@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
@@ -245,7 +245,7 @@ def rounding_errors(phase: PhaseHistory, channel: Averages) -> np.ndarray:
     return _rounded(rounding.reading_s, block, knots, coefficients, rounding.step_rad, len(time), offsets)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _rounded(
     times: Array, block: Indices, knots: Array, coefficients: Array, step: float, blocks: int, offsets: Array
 ) -> Array:
@@ -268,7 +268,7 @@ def _rounded(
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _backwards(share: Array, width: Array, phasor: Complex, lam: complex, driven: Complex, factor: complex) -> Array:
     """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n).
 

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from dynamics.compiled_code import compiled
 from dynamics.equations.speed_history import SpeedHistory, phase_at
 from identification.ring_down.modes import rate, rate_derivatives
 from rig_basics.arrays import Array, Complex
@@ -151,7 +151,7 @@ def responses_of(
     return answers
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _march(  # numba kernel: a settings object is not supported
     phasor: Complex,
     edge: Complex,
@@ -196,7 +196,7 @@ def _march(  # numba kernel: a settings object is not supported
             d1 += slope_weight[1, k] * phasor[i, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def _seen(  # numba kernel: a settings object is not supported
     times: Array,
     spread: Array,

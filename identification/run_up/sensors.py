@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.compiled_code import compiled
 from identification.errors import NotIdentifiable
 from identification.lines import SpectralLine, sentences, steady_lines
 from identification.samples import Averages, block_averages, clipped, white_noise
@@ -85,7 +85,7 @@ def _without_lines(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, lis
     return value, lines
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(part=True)
 def _median5(a: float, b: float, c: float, d: float, e: float) -> float:
     """Median of five numbers."""
     a, b = min(a, b), max(a, b)
@@ -96,27 +96,27 @@ def _median5(a: float, b: float, c: float, d: float, e: float) -> float:
     return max(low, min(high, e))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
+def _bends(value: NDArray[np.float64], middle: float, bend: float, off: NDArray[np.float64]) -> None:
+    """Write the distance of each value from the median of five neighbours, less the permitted bend, to off."""
+    n = len(value)
+    for i in range(n):
+        k = min(max(i, 2), n - 3)
+        centre = _median5(value[k - 2], value[k - 1], value[k], value[k + 1], value[k + 2])
+        off[i] = max(0.0, abs(value[i] - centre) - bend * abs(centre - middle))
+
+
 def _without_outliers(value: NDArray[np.float64], middle: float, bend: float, factor: float) -> int:
     """Set outliers to NaN: values that differ from the median of five neighbours. Return their number.
 
     A smooth signal differs by at most `bend` times its size, at its extremes.
     """
-    n = len(value)
-    centre = np.empty(n)
-    off = np.empty(n)
-    for i in range(n):
-        k = min(max(i, 2), n - 3)
-        centre[i] = _median5(value[k - 2], value[k - 1], value[k], value[k + 1], value[k + 2])
-        off[i] = max(0.0, abs(value[i] - centre[i]) - bend * abs(centre[i] - middle))
+    off = np.empty(len(value))
+    _bends(value, middle, bend, off)
     # a value of white noise is the median of five itself in a part of the cases, which do not count for the scale
-    every = max(1, n // _SCALE_SAMPLES)
-    moved = off[::every]
+    moved = off[:: max(1, len(value) // _SCALE_SAMPLES)]
     moved = moved[moved > 0]
-    limit = factor * np.median(moved) / 0.6745 if len(moved) else np.inf
-    count = 0
-    for i in range(2, n - 2):
-        if off[i] > limit:
-            value[i] = np.nan
-            count += 1
-    return count
+    limit = factor * float(np.median(moved)) / 0.6745 if len(moved) else np.inf
+    outliers = 2 + np.flatnonzero(off[2:-2] > limit)
+    value[outliers] = np.nan
+    return len(outliers)

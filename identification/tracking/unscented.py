@@ -12,11 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import CA, CB, JA, JB
-from dynamics.equations.quick_rates import quick_rates
+from dynamics.compiled_code import compiled
+from dynamics.equations.kernels import CA, CB, JA, JB, rates
 from rig_basics.arrays import Array
 
 STATES, READINGS, TALLY = 10, 4, 8
@@ -25,7 +24,7 @@ _LEAST_LN_C, _STIFFEST = -25.0, 2.0
 _MOST_REPAIRS = 40
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _factorise(p: Array, out: Array) -> bool:
     """Write the lower Cholesky factor of p (n, n) into out; return False if p is not positive definite."""
     for i in range(p.shape[0]):
@@ -42,7 +41,7 @@ def _factorise(p: Array, out: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(nogil=True, contract=True)
 def cholesky(p: Array, out: Array) -> int:
     """Write the lower factor of a covariance (n, n) into out; repair a matrix that is not positive definite in place.
 
@@ -64,7 +63,7 @@ def cholesky(p: Array, out: Array) -> int:
     return _MOST_REPAIRS
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def _step(
     points: Array,
     k: Array,
@@ -95,21 +94,21 @@ def _step(
             m = 0.5 * h
             a1, w1 = a0 + m * (w0 + 0.5 * m * alpha), w0 + m * alpha
             a2, w2 = a0 + h * (w0 + 0.5 * h * alpha), w0 + h * alpha
-            quick_rates(y, a0, w0, alpha, p, free_a, free_b, k, 0)
+            rates(y, a0, w0, alpha, p, free_a, free_b, k[0])
             for j in range(8):
                 work[j] = y[j] + m * k[0, j]
-            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 1)
+            rates(work, a1, w1, alpha, p, free_a, free_b, k[1])
             for j in range(8):
                 work[j] = y[j] + m * k[1, j]
-            quick_rates(work, a1, w1, alpha, p, free_a, free_b, k, 2)
+            rates(work, a1, w1, alpha, p, free_a, free_b, k[2])
             for j in range(8):
                 work[j] = y[j] + h * k[2, j]
-            quick_rates(work, a2, w2, alpha, p, free_a, free_b, k, 3)
+            rates(work, a2, w2, alpha, p, free_a, free_b, k[3])
             for j in range(8):
                 y[j] += h / 6.0 * (k[0, j] + 2.0 * k[1, j] + 2.0 * k[2, j] + k[3, j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(nogil=True, contract=True)
 def move(points: Array, h: float, steps: int, phase: Array, p: Array, free: Array) -> None:
     """Move states (n, 10) over steps × h in place, without process noise, for use by another filter.
 
@@ -123,7 +122,7 @@ def move(points: Array, h: float, steps: int, phase: Array, p: Array, free: Arra
     _step(points, k, work, h, steps, phase[0], phase[1], phase[2], p.copy(), free[0], free[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def predict(
     mean: Array,
     cov: Array,
@@ -181,7 +180,7 @@ def predict(
     return repairs
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@compiled(contract=True, part=True)
 def update(
     mean: Array,
     cov: Array,
@@ -238,7 +237,7 @@ def update(
     return z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True)
 def filter_readings(
     mean: Array,
     cov: Array,

@@ -51,8 +51,8 @@ def test_a_changed_kernel_is_not_run_from_old_code(tmp_path: Path) -> None:
     assert run_in(place, home, FAR_CALLER) == before
     kernel = place / "dynamics" / "equations" / "kernels.py"
     text = kernel.read_text(encoding="utf-8")
-    assert text.count("- p[K1] * ux") == 1
-    kernel.write_text(text.replace("- p[K1] * ux", "+ p[K1] * ux"), encoding="utf-8")
+    assert text.count("+ p[K1] * ux") == 1
+    kernel.write_text(text.replace("+ p[K1] * ux", "- p[K1] * ux"), encoding="utf-8")
     assert float(run_in(place, home, FAR_CALLER)[0]) == pytest.approx(-float(before[0]), rel=0.01)
 
 

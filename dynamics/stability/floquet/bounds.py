@@ -108,7 +108,7 @@ def _in_balancing_units(matrix: Array, change: Array, unit: Array, scaled: Array
             scaled[i, j], moved[i, j] = matrix[i, j] * factor, change[i, j] * factor
 
 
-@compiled
+@compiled(part=True)
 def _couple(left: Complex, right: Complex, matrix: Array, change: Array, rounding: float, coupling: Array) -> bool:
     """Write bounds on |G| to coupling (n, n). Returns whether they are finite.
 
@@ -171,7 +171,7 @@ def _moves(
     return True
 
 
-@compiled
+@compiled(part=True)
 def _moved(values: Complex, coupling: Array, i: int, gaps: Array) -> float:
     """Bound on the move of one eigenvalue; gaps (n − 1,) is scratch.
 

@@ -17,7 +17,7 @@ ORDER = 8
 _COLUMNS = 8  # processed together; a constant lets the compiler use full vectors
 
 
-@compiled
+@compiled(part=True)
 def _real_series(series: Complex) -> Array:
     """Real parts, then negative imaginary parts, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
     orders, n = series.shape[0], series.shape[1]
@@ -31,7 +31,7 @@ def _real_series(series: Complex) -> Array:
     return parts
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _matrix_at(parts: Array, c: float, s: float, a: Array) -> None:
     """Write A(ψ) to a, shape (n²,), from c = cos ψ and s = sin ψ; multiples of ψ by the addition theorem."""
     x, y = 1.0, 0.0
@@ -43,7 +43,7 @@ def _matrix_at(parts: Array, c: float, s: float, a: Array) -> None:
             a[i] += x * parts[k, i] + y * parts[k + 1, i]
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def _times(a: Array, y: Array, out: Array) -> None:
     """out = a y with a (n²,), y and out (n · 8,). Zeros of a row are skipped; half of the rows are unit rows."""
     n = len(y) // _COLUMNS

@@ -46,7 +46,7 @@ _INDEX, _FIRST, _SECOND, _FOURS = _terms()
 _ALL_NODES = np.append(NODES, 1.0)
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _at_phase(phase: float, numbers: Array, c: Array) -> None:
     """Write W_xx, W_xy, W_yy and the six rotating vectors of eight points at a phase to c (15, LANES)."""
     x, y = np.cos(phase), np.sin(phase)
@@ -63,7 +63,7 @@ def _at_phase(phase: float, numbers: Array, c: Array) -> None:
             c[4 + 2 * q, lane] = x * im + y * re
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _accelerate(position: Array, rate: Array, c: Array, rig: Array, out: Array) -> None:
     """Write the accelerations of all columns and lanes at one node to out.
 
@@ -90,7 +90,7 @@ def _accelerate(position: Array, rate: Array, c: Array, rig: Array, out: Array) 
             out[3 * _WIDE + i] = c[13, lane] * ax + c[14, lane] * ay - lb
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _gather(stage: int, h: float, position: Array, rate: Array, k: Array, new_position: Array, new_rate: Array) -> None:
     """Compute the state at a stage (for stage 12 at the step's end) from the previous accelerations."""
     ch = _ALL_NODES[stage] * h
@@ -112,7 +112,7 @@ def _gather(stage: int, h: float, position: Array, rate: Array, k: Array, new_po
             new_position[i] += (b0 * v0 + b1 * v1) + (b2 * v2 + b3 * v3)
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _march(steps: int, rig: Array, work: Array, k: Array, c: Array) -> None:
     """Write fundamental matrices of eight points over half a revolution to work[0] (positions) and work[1] (rates)."""
     h = np.pi / steps
@@ -134,7 +134,7 @@ def _march(steps: int, rig: Array, work: Array, k: Array, c: Array) -> None:
         rate[:] = new_rate
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _eight(numbers: Array, start: int, rig: Array) -> None:
     """Write the numbers of eight points to rig (21, LANES); the last point is repeated."""
     for lane in range(LANES):
@@ -142,7 +142,7 @@ def _eight(numbers: Array, start: int, rig: Array) -> None:
             rig[q, lane] = numbers[min(start + lane, numbers.shape[0] - 1), q]
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _half_turn(work: Array, lane: int, scale: Array, out: Array) -> float:
     """Write D Φ(π) of one lane in scaled coordinates to out (8, 8); returns its Frobenius norm."""
     total = 0.0
@@ -155,7 +155,7 @@ def _half_turn(work: Array, lane: int, scale: Array, out: Array) -> float:
     return np.sqrt(total)
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def largest(values: Complex) -> tuple[int, float]:
     """Index of the largest modulus, and distance of that eigenvalue to its nearest neighbour."""
     best = 0
@@ -169,7 +169,7 @@ def largest(values: Complex) -> tuple[int, float]:
     return best, gap
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def sensitive(noise: float, norm: float, gap: float) -> float:
     """Change of an eigenvalue due to noise in the matrix, for a given distance to the nearest eigenvalue.
 

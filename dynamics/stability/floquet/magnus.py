@@ -21,7 +21,7 @@ ORDER = 6
 _NODE = np.sqrt(15.0) / 10.0
 
 
-@compiled
+@compiled(part=True)
 def _commutator(a: Array, b: Array, work: Array, out: Array) -> None:
     multiply(a, b, out)
     multiply(b, a, work)

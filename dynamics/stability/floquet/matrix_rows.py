@@ -12,7 +12,7 @@ from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 _SIDE = 4  # number of points whose sums are computed together
 
 
-@compiled(nogil=True, contract=True)
+@compiled(contract=True, part=True)
 def _four_matrices(row: Array, weights: Array, start: int, out: Array) -> None:
     """Write weighted sums of a row's matrices, shape (nodes, n²), at four points to out (4, n²)."""
     last = weights.shape[0] - 1
@@ -28,7 +28,7 @@ def _four_matrices(row: Array, weights: Array, start: int, out: Array) -> None:
             out[3, q] += wd * value
 
 
-@compiled(nogil=True, contract=True)
+@compiled(contract=True, part=True)
 def weighted_sum(nodes: Array, weights: Array, out: Array) -> None:
     """Write the weighted sum of rows of nodes, shape (rows, n), to out (n,)."""
     out[:] = 0.0
@@ -100,7 +100,7 @@ def eigenvalues_at(nodes: Array, weights_v: Array, row_of: Indices, weights_u: A
             values[point] = np.nan
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _chebyshev_weights(share: float, weights: Array) -> None:
     """Values of the Lagrange polynomials of the Chebyshev points of the first kind at −1 … 1 (barycentric formula)."""
     n, total = len(weights), 0.0

@@ -18,7 +18,7 @@ _SHIFT = 64 * EPS  # relative to the matrix's norm
 _ITERATIONS = 2
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _vector(shifted: Complex) -> Complex:
     """Inverse iteration from a vector without any symmetry, shape (n,)."""
     n = shifted.shape[0]

@@ -14,7 +14,7 @@ _MAX_SWEEPS = 60
 _EPS = 2.220446049250313e-16
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _to_hessenberg(a: Array) -> None:
     """Similar upper Hessenberg matrix by stabilised elimination, in place."""
     n = a.shape[0]
@@ -39,7 +39,7 @@ def _to_hessenberg(a: Array) -> None:
                         a[j, m] += f * a[j, i]
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _start_of_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> tuple[int, float, float, float]:
     """Row at which two small subdiagonals let the sweep begin, and the first column of the shifted square there."""
     m = top - 2
@@ -65,7 +65,7 @@ def _start_of_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) 
     return m, p, q, r
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _reflect(a: Array, low: int, top: int, k: int, p: float, q: float, r: float, s: float) -> None:
     """One Householder reflection of rows and columns k … k + 2."""
     p += s
@@ -88,7 +88,7 @@ def _reflect(a: Array, low: int, top: int, k: int, p: float, q: float, r: float,
         a[i, k] -= p
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _double_shift_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> None:
     """One implicit double-shift QR sweep on rows and columns low … top."""
     m, p, q, r = _start_of_sweep(a, low, top, x, y, w)
@@ -111,7 +111,7 @@ def _double_shift_sweep(a: Array, low: int, top: int, x: float, y: float, w: flo
         _reflect(a, low, top, k, p, q, r, s)
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _start_of_block(a: Array, top: int, norm: float) -> int:
     """First row of the unreduced block that ends at top. The subdiagonal before it is set to zero."""
     low = top
@@ -126,7 +126,7 @@ def _start_of_block(a: Array, top: int, norm: float) -> int:
     return low
 
 
-@compiled(nogil=True)
+@compiled(part=True)
 def _pair(x: float, y: float, w: float, shift: float) -> tuple[complex, complex]:
     """Both eigenvalues of a two by two block."""
     p = 0.5 * (y - x)

@@ -14,7 +14,7 @@ _NORM = 0.8
 _WEIGHTS = np.array([1.0 / math.factorial(k) for k in range(_DEGREE + 1)])
 
 
-@compiled
+@compiled(part=True)
 def multiply(a: Array, b: Array, out: Array) -> None:
     """out = a b for square matrices; out must be a different array."""
     n = a.shape[0]
@@ -27,7 +27,7 @@ def multiply(a: Array, b: Array, out: Array) -> None:
                 out[i, j] += f * b[k, j]
 
 
-@compiled
+@compiled(part=True)
 def add(out: Array, factor: float, a: Array) -> None:
     """out += factor a, in place."""
     n = a.shape[0]
@@ -36,7 +36,7 @@ def add(out: Array, factor: float, a: Array) -> None:
             out[i, j] += factor * a[i, j]
 
 
-@compiled
+@compiled(part=True)
 def _copy(factor: float, a: Array, out: Array) -> None:
     n = a.shape[0]
     for i in range(n):
@@ -44,7 +44,7 @@ def _copy(factor: float, a: Array, out: Array) -> None:
             out[i, j] = factor * a[i, j]
 
 
-@compiled
+@compiled(part=True)
 def _squarings(a: Array) -> int:
     """Number of halvings of a that brings its row-sum norm below the limit of the Taylor polynomial."""
     norm = 0.0
@@ -60,7 +60,7 @@ def _squarings(a: Array) -> int:
     return count
 
 
-@compiled
+@compiled(part=True)
 def exponential(a: Array, work: Array, out: Array) -> None:
     """Write exp(a) to out: scaling and squaring of the degree-16 Taylor polynomial (Paterson–Stockmeyer, six products).
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dynamics.arrays import Array, Indices, RealSystem
 from dynamics.compiled_code import compiled
-from dynamics.equations.quick_rates import quick_rates
+from dynamics.equations.kernels import rates
 from dynamics.motions.explicit_steps import explicit_step
 
 END, CAUGHT, SETTLED, APART, RADIUS, TURNS_A, TURNS_B = range(7)
@@ -20,7 +20,7 @@ FACTS = 7
 _TAU = 2 * math.pi
 
 
-@compiled
+@compiled(part=True)
 def steps_needed(y: Array, omega: float, pace: float, step_rad: float) -> int:
     """Number of steps of the next revolution, step_rad of the fastest oscillation each.
 
@@ -31,7 +31,7 @@ def steps_needed(y: Array, omega: float, pace: float, step_rad: float) -> int:
     return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
 
 
-@compiled(contract=True)
+@compiled(contract=True, part=True)
 def advance(
     y: Array, omega: float, steps: int, system: RealSystem, k: Array, end: Array, phase: Array, orbit: Array
 ) -> None:
@@ -44,7 +44,7 @@ def advance(
     p, free_a, free_b = system[0], system[1], system[2]
     h = _TAU / omega / steps
     orbit[:] = 0.0
-    quick_rates(y, 0.0, omega, 0.0, p, free_a, free_b, k, 0)
+    rates(y, 0.0, omega, 0.0, p, free_a, free_b, k[0])
     for s in range(steps):
         explicit_step(y, s * h, h, 1, 1, system, k, end, phase)
         y[:] = end
@@ -57,13 +57,13 @@ def advance(
     orbit /= steps
 
 
-@compiled
+@compiled(part=True)
 def within(angle: float) -> float:
     """The angle reduced to −π … π."""
     return angle - _TAU * math.floor(angle / _TAU + 0.5)
 
 
-@compiled
+@compiled(part=True)
 def _form(away: Array, form: Array) -> float:
     found = 0.0
     for i in range(8):
@@ -122,7 +122,7 @@ def deviation(
     return best
 
 
-@compiled
+@compiled(part=True)
 def _distance(away: Array, scale: Array) -> float:
     largest = 0.0
     for i in range(8):
@@ -130,7 +130,7 @@ def _distance(away: Array, scale: Array) -> float:
     return largest
 
 
-@compiled
+@compiled(part=True)
 def _caught_by(
     y: Array,
     ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
@@ -179,12 +179,12 @@ def pursue(
     facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
 
 
-@compiled
+@compiled(part=True)
 def _radius_of(orbit: Array) -> float:
     return math.sqrt(max(0.0, orbit[2] - orbit[0] * orbit[0] - orbit[1] * orbit[1]))
 
 
-@compiled
+@compiled(part=True)
 def _chase(
     y: Array,
     neighbour: Array,
@@ -220,7 +220,7 @@ def _chase(
         done += 1
 
 
-@compiled
+@compiled(part=True)
 def _settle(
     y: Array,
     number: int,
@@ -259,7 +259,7 @@ def _settle(
         facts[RADIUS] = _radius_of(orbit)
 
 
-@compiled
+@compiled(part=True)
 def _glide(
     y: Array,
     away: Array,
