@@ -31,13 +31,14 @@ def compile_in_background(place: Path | None) -> bool:
     """
     if place is None or not keeps_code(place) or (place / _MARK).exists():
         return False
+    # a session of its own would have its own share of the processor on Linux, whatever its priority
     windows = getattr(subprocess, "IDLE_PRIORITY_CLASS", 0) | getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
     subprocess.Popen(
         [sys.executable, "-m", _MODULE, _BACKGROUND],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C does not end it
+        process_group=None if sys.platform == "win32" else 0,  # Ctrl-C does not end it
         creationflags=windows,
     )
     return True
