@@ -56,6 +56,7 @@ _CUT_AT = 8.0  # decay times, after which a mode is below 1/3000 of its start
 _MIN_STRETCH = 1.15  # factor on intervals for coloured residuals above which a record may be shortened
 _SECOND_MODE_GAIN = 20.0  # of χ² beyond BIC's penalty; above the largest peak of noise among thousands
 _MIN_SPLIT = 3.0  # half-bandwidths; two closer decays may describe one decay of another law
+_MIN_BEAT = 0.4  # half-bandwidths between the frequencies of two closer modes that explain all of the misfit
 _SPLITS = (0.3, 1.0, 2.0)  # half-bandwidths, from the mean of two close modes to each of them at the start
 _MIN_CHI2 = 0.5  # χ²/dof
 _MAX_FREQUENCY_RATIO = 6.0  # of a second mode of the suspension to the first one
@@ -361,10 +362,14 @@ def _is_of_suspension(theta: np.ndarray, first: np.ndarray) -> bool:
 
 
 def _is_sound_pair(fitted: FittedDecay) -> bool:
-    """Whether two modes of one sensor decay, and are not two parts of one decay of another law."""
+    """Whether two modes of one sensor decay, and are not two parts of one decay of another law.
+
+    A rate that changes with amplitude or time changes the envelope and its phase slowly; it makes no beat.
+    """
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-    apart = abs(lams[0] - lams[1]) > _MIN_SPLIT * max(-lams[0].real, -lams[1].real)
-    return bool(np.all(fitted.zetas > 0)) and (apart or not is_misfit(fitted))
+    width = max(-lam.real for lam in lams)
+    apart, beat = abs(lams[0] - lams[1]) > _MIN_SPLIT * width, abs(lams[0].imag - lams[1].imag) > _MIN_BEAT * width
+    return bool(np.all(fitted.zetas > 0)) and (apart or (beat and not is_misfit(fitted)))
 
 
 def _stronger_first(fitted: FittedDecay) -> FittedDecay:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from identification import fit_ring_down
 from rig_basics.arrays import Array
@@ -78,3 +81,27 @@ def test_random_pairs_are_fitted_at_the_bound(seeds: range) -> None:
     errors, stretched = (np.concatenate(part) for part in zip(*found, strict=True))
     assert np.mean(np.abs(errors) < 1.96) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / len(errors))
     assert np.mean(stretched < 1.15) > 0.9
+
+
+STIFFENS, WARMS = (lambda q, t: 1 + 2.5e3 * q**2), (lambda q, t: 1 - 4e-5 * t)
+
+
+@pytest.mark.parametrize(
+    ("f_Hz", "zeta", "held_m", "stiffness"), [(3.61, 0.008, 1.0e-3, STIFFENS), (2.257, 0.007, 2.4e-3, WARMS)]
+)
+def test_one_mode_whose_rate_changes_is_not_two(
+    f_Hz: float, zeta: float, held_m: float, stiffness: Callable[[float, float], float]
+) -> None:
+    """Two modes of the same frequency explained the envelope of both."""
+    omega = 2 * np.pi * f_Hz
+    motion = solve_ivp(
+        lambda t, y: [y[1], -(omega**2) * y[0] * stiffness(y[0], t) - 2 * zeta * omega * y[1]],
+        (0.0, TIME[-1]),
+        [held_m, 0.0],
+        method="DOP853",
+        t_eval=TIME,
+        rtol=1e-8,
+        atol=1e-11,
+    )
+    fit = fit_ring_down(TIME, motion.y[0] + NOISE_M * np.random.default_rng(3).normal(size=len(TIME)))
+    assert not any("second mode" in warning for warning in fit.warnings)
