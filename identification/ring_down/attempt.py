@@ -56,7 +56,7 @@ _CUT_AT = 8.0  # decay times, after which a mode is below 1/3000 of its start
 _MIN_STRETCH = 1.15  # factor on intervals for coloured residuals above which a record may be shortened
 _SECOND_MODE_GAIN = 20.0  # of χ² beyond BIC's penalty; above the largest peak of noise among thousands
 _MIN_SPLIT = 3.0  # half-bandwidths; two closer decays may describe one decay of another law
-_MIN_BEAT = 0.4  # half-bandwidths between the frequencies of two closer modes that explain all of the misfit
+_MIN_BEAT = 0.4  # half-bandwidths between the frequencies of two closer modes
 _SPLITS = (0.3, 1.0, 2.0)  # half-bandwidths, from the mean of two close modes to each of them at the start
 _MIN_CHI2 = 0.5  # χ²/dof
 _MAX_FREQUENCY_RATIO = 6.0  # of a second mode of the suspension to the first one
@@ -262,7 +262,7 @@ class FitOptions:
 
         Args:
             fitted: fit of one mode.
-            sole: whether the second mode must explain all of the misfit.
+            sole: whether the second mode must explain most of what the best of these leaves.
         """
         if "second-mode" in self.without or fitted.model.modes == 2 or not is_misfit(fitted):
             return fitted
@@ -274,21 +274,29 @@ class FitOptions:
         if start is None:
             return fitted
         both = _stronger_first(solve(fitted.decay, model, [start], self.priors))
-        may_be = _is_of_suspension(both.theta, first) and not (sole and is_misfit(both))
-        return self.with_fewest_modes(both) if may_be and _is_sound_pair(both) else fitted
+        return both if _is_of_suspension(both.theta, first) and self.are_two(both, sole=sole) else fitted
 
     def with_fewest_modes(self, fitted: FittedDecay) -> FittedDecay:
         """Fit with one mode in one sensor, unless a second mode has a very significant gain."""
-        if self.turned or fitted.model.modes == 1:
+        if self.turned or fitted.model.modes == 1 or self.are_two(fitted):
             return fitted
+        return self.with_rungs(self.with_stronger_mode(fitted))
+
+    def with_stronger_mode(self, fitted: FittedDecay) -> FittedDecay:
+        """Fit with the first of two modes alone."""
         fastest = float(np.max(fitted.omegas))
-        single = self.refitted(fitted.decay, [fitted.theta[:2]], fastest, fitted.model.drift, modes=1)
+        return self.refitted(fitted.decay, [fitted.theta[:2]], fastest, fitted.model.drift, modes=1)
+
+    def are_two(self, fitted: FittedDecay, *, sole: bool = False) -> bool:
+        """Whether a second mode in one sensor has a very significant gain; for `sole` see `with_second_mode`."""
+        apart, beat = _separate(fitted)
+        single, noise = self.with_stronger_mode(fitted), max(1.0, fitted.solution.chi2_per_dof)
+        if not (np.all(fitted.zetas > 0) and (apart or beat)) or single.chi2 - fitted.chi2 < _SECOND_MODE_GAIN * noise:
+            return False
         bent = climbed(single, self.priors, first=False)
-        gain = (bent.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
         more = fitted.model.linear + fitted.model.free - bent.model.linear - bent.model.free
-        if _is_sound_pair(fitted) and gain > more * np.log(fitted.count) + _SECOND_MODE_GAIN:
-            return fitted
-        return self.with_rungs(single)
+        is_clear = bent.chi2 - fitted.chi2 > noise * (more * np.log(fitted.count) + _SECOND_MODE_GAIN)
+        return is_clear and ((apart and not sole) or explains(bent, fitted))
 
     def without_outliers(self, fitted: FittedDecay) -> tuple[FittedDecay, int]:
         """Mask outliers until nothing changes. Return the fit with its drift selected, and the number of outliers."""
@@ -361,15 +369,14 @@ def _is_of_suspension(theta: np.ndarray, first: np.ndarray) -> bool:
     return float(np.max(np.abs(theta[0:3:2] - first[0]))) < np.log(_MAX_FREQUENCY_RATIO)
 
 
-def _is_sound_pair(fitted: FittedDecay) -> bool:
-    """Whether two modes of one sensor decay, and are not two parts of one decay of another law.
+def _separate(fitted: FittedDecay) -> tuple[bool, bool]:
+    """Whether two modes of one sensor are certainly not two parts of one decay of another law, and whether they beat.
 
     A rate that changes with amplitude or time changes the envelope and its phase slowly; it makes no beat.
     """
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
     width = max(-lam.real for lam in lams)
-    apart, beat = abs(lams[0] - lams[1]) > _MIN_SPLIT * width, abs(lams[0].imag - lams[1].imag) > _MIN_BEAT * width
-    return bool(np.all(fitted.zetas > 0)) and (apart or (beat and not is_misfit(fitted)))
+    return abs(lams[0] - lams[1]) > _MIN_SPLIT * width, abs(lams[0].imag - lams[1].imag) > _MIN_BEAT * width
 
 
 def _stronger_first(fitted: FittedDecay) -> FittedDecay:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from identification import fit_ring_down
 from rig_basics.arrays import Array
@@ -73,6 +74,29 @@ def test_the_sensor_may_stand_between_the_axes() -> None:
     errors, stretched = scores(numbers, 0)
     assert np.all(np.abs(errors) < 4)
     assert np.all(stretched < 1.15)
+
+
+def walk(rng: np.random.Generator) -> Array:
+    return 1e-7 * np.cumsum(rng.normal(size=len(TIME)))
+
+
+def correlated(rng: np.random.Generator) -> Array:
+    return lfilter([3e-6], [1.0, -0.9], rng.normal(size=len(TIME)))
+
+
+@pytest.mark.parametrize("disturbance", [walk, correlated])
+@pytest.mark.parametrize(("second_Hz", "size_m"), [(3.4, 9e-4), (4.2, 5e-4)])
+def test_coloured_noise_does_not_hide_the_second_mode(
+    disturbance: Callable[[np.random.Generator], Array], second_Hz: float, size_m: float
+) -> None:
+    """With a random walk "nothing rings", of a motion of 2 mm; else the second mode was "something else"."""
+    rng = np.random.default_rng(5)
+    numbers = np.array([3.2, 0.01, 1e-3, 0.0, second_Hz, 0.01, size_m, 0.7, 0.0])
+    fit = fit_ring_down(TIME, seen(numbers) + disturbance(rng) + NOISE_M * rng.normal(size=len(TIME)))
+    assert any("second mode" in warning for warning in fit.warnings)
+    assert not any("something else" in warning for warning in fit.warnings)
+    assert abs(fit.values["f1_Hz"] - 3.2) < 4 * fit.std["f1_Hz"] < 4e-4
+    assert abs(fit.values["zeta1"] - 0.01) < 4 * fit.std["zeta1"] < 1.2e-4
 
 
 @pytest.mark.parametrize("seeds", [range(40, 55), pytest.param(range(60, 200), marks=thorough)])
