@@ -31,7 +31,7 @@ def compile_in_background(place: Path | None) -> bool:
     """
     if place is None or not keeps_code(place) or (place / _MARK).exists():
         return False
-    # a session of its own would have its own share of the processor on Linux, whatever its priority
+    # on Linux a session of its own has its own share of the processor, at any priority
     windows = getattr(subprocess, "IDLE_PRIORITY_CLASS", 0) | getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
     subprocess.Popen(
         [sys.executable, "-m", _MODULE, _BACKGROUND],

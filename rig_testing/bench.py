@@ -173,7 +173,7 @@ class DriverBench:
 
     def _move(self) -> None:
         self._came(self.far.step(self.motion.time_s))
-        stretch = self.motion.advance(self.clock.passed_s())
+        stretch = self.motion.advance(self.clock.now_s())
         if stretch is not None:
             self._stretches.append((stretch.time_s[1:], stretch.rows[1:]))
             self._came(self.far.sample(stretch))

@@ -154,7 +154,7 @@ class LockstepStage:
         self._sim.step_s = _COARSE_S
         self.clock.wait(AFTER_S)
         time_s, rows = self._kept.arrays()
-        zero_ns = self.clock.now_ns() - round(self.clock.passed_s() * 1e9)
+        zero_ns = self.clock.now_ns() - round(self.clock.now_s() * 1e9)
         return TrueMotion(time_s, rows, zero_ns, float(self._sim.far.motion.target_rad_s))
 
     def close(self) -> None:

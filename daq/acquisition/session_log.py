@@ -72,7 +72,7 @@ class SessionLog:
             "rig": self._rig.name,
             "software": software_version(),
             "decoder": str(DECODER),
-            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._clock.now_s())),
+            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._clock.now_ns() * 1e-9)),
             **calibrations_of(self._rig.devices),
             **metadata,
         }

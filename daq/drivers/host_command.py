@@ -286,7 +286,7 @@ class HostCommand(SpeedControl):
 
         Args:
             reported: returns whether it does.
-            fed_s: time of the last sign of life, s since 1970.
+            fed_s: time of the last sign of life, s.
             stated_s: time-out that it states, s.
             period_s: period of its reports and of its watch, s.
         """

@@ -161,7 +161,7 @@ class RepeatedCommand(HostCommand):
             yield self._fails()
         with self._deciding:
             self._check_not_stopped()
-            self._ramp.begin(self._reported_rpm, self._clock.now_s())
+            self._ramp.begin(self._reported_rpm, self._clock.now_ns() * 1e-9)
             self._begin(Mode.SPEED)
         try:
             while not self._holds():

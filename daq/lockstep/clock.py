@@ -35,7 +35,7 @@ class SimulatedClock(HostClock):
 
     def __init__(self, start_ns: int = START_NS) -> None:
         super().__init__()
-        self._start_ns = self._now_ns = start_ns
+        self._zero_ns = self._now_ns = start_ns
         self._due: list[tuple[int, int, bool, Callable[[], object]]] = []
         self._count = 0
         self._doing = False
@@ -46,10 +46,6 @@ class SimulatedClock(HostClock):
     @override
     def now_ns(self) -> int:
         return self._now_ns
-
-    def passed_s(self) -> float:
-        """Time since the start, s."""
-        return (self._now_ns - self._start_ns) * 1e-9
 
     # --- actions -----------------------------------------------------------------------------------------------
 

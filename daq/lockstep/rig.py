@@ -119,7 +119,7 @@ class LockstepRig:
         received = {name: bytes(cable.sent) for name, cable in self.cables.items() if cable.sent}
         for name in received:
             self.cables[name].sent.clear()
-        for name, data in self.far.step(self.clock.passed_s(), received).items():
+        for name, data in self.far.step(self.clock.now_s(), received).items():
             self.cables[name].collected += data
         for cable in delivering:
             cable.deliver()
@@ -138,7 +138,7 @@ class LockstepRig:
                 return {"port": self.cables[what["device"]].plug()}
             case _:
                 try:
-                    return self.far.do({"do": do, **what}, self.clock.passed_s())
+                    return self.far.do({"do": do, **what}, self.clock.now_s())
                 except (KeyError, TypeError, ValueError) as error:
                     raise ValueError(f"virtual rig: {do}: {error}") from error
 

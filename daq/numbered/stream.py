@@ -153,7 +153,8 @@ class NumberedStream(Generic[R]):
                 late_ns = self._late_ns(int(places[-1]), at_ns)
                 if self._cycles(late_ns, float(np.min(cycles_ns[i:end])), at_ns) < 1:
                     self._time = int(times[end - 1])
-                    out.append(self._placed(places, rows[i:end], host_ns))
+                    taken = 1 if end - i == len(numbers) else end - i  # the first reads of a log may all be late
+                    out.append(self._placed(places, rows[i:end], host_ns, taken))
                     i = end
                     continue
             self._ends_read = i == len(numbers) - 1
@@ -406,9 +407,9 @@ class NumberedStream(Generic[R]):
             )
         return out
 
-    def _placed(self, places: NDArray[np.int64], rows: R, host_ns: int) -> Stretch[R]:
+    def _placed(self, places: NDArray[np.int64], rows: R, host_ns: int, taken: int = 1) -> Stretch[R]:
         self._place, self._stands_still = int(places[-1]), False
-        self._due.take(self._place * self._number_ns, host_ns, len(places))
+        self._due.take(self._place * self._number_ns, host_ns, taken)
         return Stretch(places, rows, host_ns)
 
     def _merged(self, parts: Sequence[Stretch[R]]) -> list[Stretch[R]]:

@@ -31,7 +31,8 @@ class HostClock:
     """Time in nanoseconds since 1970 that never steps back, and waits on this time."""
 
     def __init__(self) -> None:
-        self._ahead_ns = time.time_ns() - time.monotonic_ns()
+        self._zero_ns = time.time_ns()
+        self._ahead_ns = self._zero_ns - time.monotonic_ns()
 
     # --- time --------------------------------------------------------------------------------------------------
 
@@ -40,8 +41,8 @@ class HostClock:
         return self._ahead_ns + time.monotonic_ns()
 
     def now_s(self) -> float:
-        """Time now, s since 1970."""
-        return self.now_ns() * 1e-9
+        """Time since the clock was made, s: a small number, exact to nanoseconds for days."""
+        return (self.now_ns() - self._zero_ns) * 1e-9
 
     # --- waiting -----------------------------------------------------------------------------------------------
 

@@ -194,13 +194,13 @@ class OdriveControl(RepeatedCommand):
             raise DeviceError(f"the rotor must stand and the axis be idle without a fault, it is in {self.state}")
         with self._sending:
             self._send(encode(wire.clear_errors(s.node_id)))
-            fed_ns = self._clock.now_ns()
+            fed_ns, fed_s = self._clock.now_ns(), self._clock.now_s()
 
         def expired() -> bool:  # an earlier heartbeat may have been sent before the error was cleared
             late = self._is_late(self._beat_ns, fed_ns)
             return late and self._beat is not None and bool(self._beat.error & watchdog)
 
-        return self._await_time_out(expired, 1e-9 * fed_ns, s.watchdog_s, s.heartbeat_ms * 1e-3)
+        return self._await_time_out(expired, fed_s, s.watchdog_s, s.heartbeat_ms * 1e-3)
 
     @override
     def _send_release(self) -> Callable[[], bool]:

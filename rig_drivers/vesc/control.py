@@ -230,7 +230,7 @@ class VescControl(RepeatedCommand):
             raise DeviceError("firmware before 5.3 does not report an expired timeout: measure it with a turning rotor")
         with self._sending:
             self._send(self._on_line(wire.release()))
-            sent_ns = self._clock.now_ns()
+            sent_ns, sent_s = self._clock.now_ns(), self._clock.now_s()
         obeyed = False
 
         def expired() -> bool:
@@ -240,7 +240,7 @@ class VescControl(RepeatedCommand):
                 obeyed |= self._is_late(self._report_ns, sent_ns) and not timed_out
             return obeyed and timed_out
 
-        found = self._await_time_out(expired, 1e-9 * sent_ns, s.timeout_s, 1.0 / s.report_Hz + _STEP_S)
+        found = self._await_time_out(expired, sent_s, s.timeout_s, 1.0 / s.report_Hz + _STEP_S)
         if not obeyed:
             raise DeviceError("the command to release did not end its expired timeout: do commands reach it?")
         return found

@@ -332,8 +332,8 @@ class DriveControl(HostCommand):
         """Whether the drive has left operation, or its newest report is from within `_QUICK_STOP_S` of the command."""
         if self._recent_state == cia402.UNKNOWN:
             return False
-        since_s = self._report_ns * 1e-9 - (self._stopping_s or 0.0)
-        return self.state != cia402.OPERATION_ENABLED or since_s <= _QUICK_STOP_S
+        reported_s = self._clock.now_s() - (self._clock.now_ns() - self._report_ns) * 1e-9
+        return self.state != cia402.OPERATION_ENABLED or reported_s - (self._stopping_s or 0.0) <= _QUICK_STOP_S
 
     @override
     def why(self) -> str:

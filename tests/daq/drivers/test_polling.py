@@ -27,7 +27,7 @@ class Line:
         if not self.is_there:
             raise LinkLost("gone")
         assert data == b"M1\r"
-        self.asked_s.append(self.clock.passed_s())
+        self.asked_s.append(self.clock.now_s())
         if self.delay_s is not None:
             self.clock.after(self.delay_s, lambda: self.loop.heard(b"M1,+01.0000\r"))
 

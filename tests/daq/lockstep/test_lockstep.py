@@ -44,21 +44,21 @@ def opened(rig: str) -> tuple[LockstepRig, Session]:
 def test_actions_run_in_order_and_only_during_waits() -> None:
     clock, done = SimulatedClock(), []
     for seconds in (0.3, 0.1, 0.2, 0.1):
-        clock.after(seconds, lambda s=seconds: done.append((s, round(clock.passed_s(), 3))))
+        clock.after(seconds, lambda s=seconds: done.append((s, round(clock.now_s(), 3))))
     assert done == []
     clock.wait(0.25)
     assert done == [(0.1, 0.1), (0.1, 0.1), (0.2, 0.2)]
-    assert clock.passed_s() == 0.25
+    assert clock.now_s() == 0.25
 
 
 def test_actions_of_a_busy_host_are_delayed_and_those_of_the_world_are_not() -> None:
     clock, done = SimulatedClock(), []
-    clock.after(0.1, lambda: done.append(("host", clock.passed_s())))
-    clock.after(0.2, lambda: done.append(("world", clock.passed_s())), world=True)
+    clock.after(0.1, lambda: done.append(("host", clock.now_s())))
+    clock.after(0.2, lambda: done.append(("world", clock.now_s())), world=True)
     clock.busy(0.5)
     clock.wait(0.05)
     assert done == [("world", 0.2), ("host", 0.5)]
-    assert clock.passed_s() >= 0.5  # who waits wakes up when the host does
+    assert clock.now_s() >= 0.5  # who waits wakes up when the host does
 
 
 def test_an_interruption_ends_a_wait_after_the_action() -> None:
@@ -75,12 +75,12 @@ def test_an_interruption_ends_a_wait_after_the_action() -> None:
         clock.after(2.0, lambda: done.append("second"))
         with pytest.raises(KeyboardInterrupt):
             clock.wait(10.0)
-        assert (done, clock.passed_s()) == (["first"], 1.0)
+        assert (done, clock.now_s()) == (["first"], 1.0)
         seen = list[int]()
         signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
         clock.after(0.0, interrupted)
         clock.wait(10.0)
-        assert (done, clock.passed_s(), seen) == (["first", "first", "second"], 11.0, [signal.SIGINT])
+        assert (done, clock.now_s(), seen) == (["first", "first", "second"], 11.0, [signal.SIGINT])
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -96,7 +96,7 @@ def test_a_repeated_action_ends_with_its_first_failure() -> None:
     clock, times, failures = SimulatedClock(), [], []
 
     def do() -> None:
-        times.append(round(clock.passed_s(), 3))
+        times.append(round(clock.now_s(), 3))
         if len(times) == 3:
             raise OSError("gone")
 
@@ -251,8 +251,8 @@ def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
 
 def wait_checking(session: Session, seconds: float) -> None:
     """Wait as an operator does: an error ends the wait."""
-    end = session.clock.passed_s() + seconds
-    while session.clock.passed_s() < end:
+    end = session.clock.now_s() + seconds
+    while session.clock.now_s() < end:
         session.check()
         session.clock.wait(0.05)
 

@@ -726,9 +726,9 @@ def test_an_emergency_and_a_supply_that_returns_are_reported() -> None:
     assert checks["missing reports"].passed
     bench, far = bench_of()
     bench.begin()
-    far.power(False, bench.clock.passed_s())
+    far.power(False, bench.clock.now_s())
     bench.clock.wait(0.2)
-    far.power(True, bench.clock.passed_s())
+    far.power(True, bench.clock.now_s())
     bench.clock.wait(0.2)
     assert sum(isinstance(i, DeviceEvent) and i.kind == "restart" for i in bench.items) == 3
 
@@ -752,7 +752,7 @@ def test_a_frozen_position_and_unknown_faults() -> None:
 def test_the_next_sync_waits_for_all_answers() -> None:
     bench, _ = bench_of()
     sent: list[tuple[float, bytes]] = []
-    sender = SyncSender(settings(), lambda data: sent.append((bench.clock.passed_s(), data)), bench.clock)
+    sender = SyncSender(settings(), lambda data: sent.append((bench.clock.now_s(), data)), bench.clock)
     sender.start()
     bench.clock.wait(0.1)
     assert [data for _, data in sent] == [SYNC]

@@ -134,7 +134,7 @@ class Host:
         self.bench, _ = bench_of()
         self.sent_s: list[float] = []
         self.sender = SyncSender(
-            settings(), lambda data: self.sent_s.append(self.bench.clock.passed_s()), self.bench.clock
+            settings(), lambda data: self.sent_s.append(self.bench.clock.now_s()), self.bench.clock
         )
 
     def rounds(self, number: int, first_s: float = 0.001, last_s: float = 0.001) -> None:

@@ -408,8 +408,8 @@ def test_a_scan_overlap_and_a_power_failure_end_in_a_fault() -> None:
         if fault == "overlap":
             far.fail("overlap")
         else:
-            far.power(False, bench.clock.passed_s())
-            far.power(True, bench.clock.passed_s())
+            far.power(False, bench.clock.now_s())
+            far.power(True, bench.clock.now_s())
         bench.clock.wait(0.3)
         assert events(bench.items, "fault"), fault
         assert bench.pipeline.losses["refused"] > 0
@@ -511,8 +511,8 @@ def test_a_device_that_lost_power_is_started_again_and_its_gap_is_counted(tmp_pa
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("fail", device="lab", what="deaf", value=1, seconds=3.0)
-        end = sim.clock.passed_s() + 8.0
-        while sim.clock.passed_s() < end:
+        end = sim.clock.now_s() + 8.0
+        while sim.clock.now_s() < end:
             session.check()
             sim.clock.wait(0.05)
         session.stop_recording({})

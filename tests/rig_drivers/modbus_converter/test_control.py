@@ -225,11 +225,11 @@ def test_the_converter_stops_when_requests_stay_away(bench: Bench) -> None:
     """Its fault is reset once by the next `enable`, with a text for the operator."""
     bench.turn()
     assert bench.converter.watchdog_ms == 1000
-    stopped = bench.clock.passed_s()
+    stopped = bench.clock.now_s()
     bench.converter.fail("deaf", 1)
     while abs(bench.rpm) > 1:
         bench.clock.wait(0.02)
-    assert 1.0 < bench.clock.passed_s() - stopped < 2.0
+    assert 1.0 < bench.clock.now_s() - stopped < 2.0
     bench.clock.wait(0.5)
     bench.converter.fail("deaf", 0)
     bench.clock.wait(0.5)
@@ -257,9 +257,9 @@ def test_a_converter_without_its_watchdog_is_not_enabled(bench: Bench, found: in
 
 def test_a_converter_that_started_again_is_not_enabled(bench: Bench) -> None:
     bench.turn()
-    bench.converter.power(False, bench.clock.passed_s())
+    bench.converter.power(False, bench.clock.now_s())
     bench.clock.wait(0.7)
-    bench.converter.power(True, bench.clock.passed_s())
+    bench.converter.power(True, bench.clock.now_s())
     bench.clock.wait(8.0)
     assert bench.drive.dropped_out == registers.READY
     with pytest.raises(DeviceError, match="it started again"):
@@ -380,10 +380,10 @@ def test_a_line_that_is_lost_is_reported(bench: Bench) -> None:
 def test_a_supply_that_failed_while_it_turned_is_a_restart_with_unknown_speed(bench: Bench, off_s: float) -> None:
     """The rotor runs down without torque, and the converter that returns reports 0 and no fault."""
     bench.turn(600)
-    bench.converter.power(False, bench.clock.passed_s())
+    bench.converter.power(False, bench.clock.now_s())
     bench.clock.wait(off_s)
     begun = len(bench.items)
-    bench.converter.power(True, bench.clock.passed_s())
+    bench.converter.power(True, bench.clock.now_s())
     bench.clock.wait(0.5)
     assert bench.rpm > 100
     speeds = [row.columns["speed_rpm"][0] for row in bench.items[begun:] if isinstance(row, Batch)]
@@ -394,9 +394,9 @@ def test_a_supply_that_failed_while_it_turned_is_a_restart_with_unknown_speed(be
 
 
 def test_a_supply_that_failed_at_rest_is_a_warning_and_ends_nothing(bench: Bench) -> None:
-    bench.converter.power(False, bench.clock.passed_s())
+    bench.converter.power(False, bench.clock.now_s())
     bench.clock.wait(2.0)
-    bench.converter.power(True, bench.clock.passed_s())
+    bench.converter.power(True, bench.clock.now_s())
     bench.clock.wait(0.5)
     found = [item for item in bench.items if isinstance(item, DeviceEvent) and item.kind in ("emergency", "restart")]
     assert [event.kind for event in found] == ["emergency"]

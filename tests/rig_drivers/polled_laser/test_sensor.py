@@ -430,7 +430,7 @@ class Line:
         self.poller = DRIVER.poller(settings, self._sent, self.clock)
 
     def _sent(self, data: bytes) -> None:
-        now_s = self.clock.passed_s()
+        now_s = self.clock.now_s()
         self.items += self.pipeline.feed(TX, data, self.clock.now_ns())
         self._asked_ns = self.clock.now_ns()
         delay_s = self._delay_s(self._number)

@@ -68,7 +68,7 @@ class Bench:
         return 2e-3 * np.sin(20.0 * time_s)
 
     def _step(self) -> None:
-        times = self.clock.passed_s() - STEP_S + GRID_S * np.arange(round(STEP_S / GRID_S) + 1)
+        times = self.clock.now_s() - STEP_S + GRID_S * np.arange(round(STEP_S / GRID_S) + 1)
         rows = np.zeros((len(times), 10))
         rows[:, 1], rows[:, 5] = self.motion(times), 40e-3 * np.cos(20.0 * times)
         self._hear(self.sensor.sample(StepTrajectory(times, rows)))

@@ -72,7 +72,7 @@ class Bench:
 
     def _step(self) -> None:
         self.far.step(self.motion.time_s)
-        stretch = self.motion.advance(self.clock.passed_s())
+        stretch = self.motion.advance(self.clock.now_s())
         assert stretch is not None
         self.far.put_on_air(stretch)
         self._feed(RX, self.far.dongle(self.motion.time_s))

@@ -143,8 +143,8 @@ def power_cycled(
         session.start_recording(log, {"test": "record"})
         sim.clock.wait(1.0)
         sim.ask("fail", device="laser_y", what="power", value=1, seconds=0.5)
-        end = sim.clock.passed_s() + 10.0
-        while sim.clock.passed_s() < end:
+        end = sim.clock.now_s() + 10.0
+        while sim.clock.now_s() < end:
             session.check()
             sim.clock.wait(0.05)
         session.stop_recording({})
@@ -199,8 +199,8 @@ def test_a_turning_rotor_delays_the_set_up_also_into_the_next_log(
     """A dialogue with a sensor would delay the monitoring of the rotor."""
 
     def wait(seconds: float) -> None:
-        end = sim.clock.passed_s() + seconds
-        while sim.clock.passed_s() < end:
+        end = sim.clock.now_s() + seconds
+        while sim.clock.now_s() < end:
             session.check()
             sim.clock.wait(0.05)
 
