@@ -119,7 +119,7 @@ class Motor(HostCommand):
         return self._switch_off()
 
     def measure(self, reported: Callable[[], bool], stated_s: float) -> TimeOut:
-        return self._await_time_out(reported, self.clock.at_s, stated_s, 0.0)
+        return self._await_time_out(reported, self.clock.now_s(), stated_s, 0.0)
 
 
 @pytest.fixture
