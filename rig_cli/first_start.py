@@ -1,7 +1,7 @@
 """The first start after an installation: compiles what the usual commands need, before a person waits for it.
 
-`make setup` runs this module and waits. The first `rig` of a wheel starts it in the background. A file in the directory
-of the compiled code marks that it was started, so a change of the compiled sources starts it again.
+`make setup` runs this module and waits. The first analysis by a wheel starts it in the background. A file in the
+directory of the compiled code marks that it was started, so a change of the compiled sources starts it again.
 """
 
 from __future__ import annotations

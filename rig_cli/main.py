@@ -33,6 +33,7 @@ from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputE
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
 _INTERRUPTED = 130
 _LOG_LEVEL = "--log-level"
+_OPENS_NO_RIG = {"predict", "plan", "identify", "validate"}
 _ONLY_SHOWN = {"--help", "-h", "--version"}
 _THIS_PROGRAM = Group("This program", sort_key=len(GROUPS))
 _USE_COMPILED = {
@@ -213,7 +214,7 @@ def main() -> None:
     """Carry out the command of the command line and end the program with its exit code."""
     if not _ONLY_SHOWN & set(sys.argv[1:2]):  # the folder takes 25 ms to name, and nothing compiles
         place = keep_compiled_code()  # before anything compiles; child processes inherit it
-        if "demo" not in sys.argv[1:2] and compile_in_background(place):  # a demo compiles all of it itself
+        if _OPENS_NO_RIG & set(sys.argv[1:2]) and compile_in_background(place):  # a rotor that turns has no other load
             notify(
                 "rig: compiling in the background, once after an installation: minutes, in which commands wait longer"
             )
