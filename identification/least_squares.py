@@ -9,7 +9,7 @@ about θ, and the intervals would be too short.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -18,9 +18,11 @@ from identification.errors import FitFailed
 from identification.work import spend
 from rig_basics.arrays import Array
 
-_MIN_GAIN = 3e-3  # of χ²
+_LEFT = 1e-4  # of χ²: what an undamped step of a hundredth of a standard deviation gains
 _MANY, _SMALL_GAIN = 10, 0.1  # steps, and the gain of χ² by all of them, after which no further one is worth its time
-_FIRST_DAMPING = 1e-4  # of Marquardt's scaling: the first step is nearly that of Gauss and Newton
+_FIRST_DAMPING = 1e-2  # the first step is nearly that of Gauss and Newton
+_MAX_DAMPING = 1e10
+_FREE_REACH = 10.0  # standard deviations of the residuals: how far an unknown without a prior may be
 _MAX_BEND_RATIO = 0.375  # of a step: a larger correction is not second order (Transtrum and Sethna 2012)
 _MIN_PRIOR_STD = 1e-9  # far below the std with which a record determines an angle, a delay or a logarithm
 
@@ -36,8 +38,9 @@ class Minimum:
         covariance: inverse of JᵀJ, shape (p, p); the residual's rows are in standard deviations.
         residual: shape (n,), priors last.
         jacobian: shape (n, p).
-        converged: whether the last step was below 1e-3 standard deviations in every direction of θ, or several
-            consecutive steps had no gain, or many had next to none and could not have one of a standard deviation.
+        converged: whether an undamped step would gain less than 1e-4 of χ², a hundredth of a standard deviation, or
+            ten steps together gained less than a tenth, and an undamped step would not gain much more. χ² is that for
+            noise as large as the residuals.
         iterations: number of evaluations.
     """
 
@@ -58,6 +61,21 @@ class Minimum:
         """Mean square of the residuals, for a comparison of fits of different stretches."""
         return self.cost / len(self.residual)
 
+    @property
+    def unit(self) -> float:
+        """Cost of a step by a standard deviation, which grows with residuals above the noise."""
+        return max(1.0, self.per_reading)
+
+    @property
+    def step(self) -> Array:
+        """Undamped step of Gauss and Newton, shape (p,)."""
+        return -self.covariance @ (self.jacobian.T @ self.residual)
+
+    @property
+    def left(self) -> float:
+        """Reduction of the cost by that step if the model is linear."""
+        return -float(self.residual @ self.jacobian @ self.step)
+
 
 def minimise(
     evaluate: Evaluate,
@@ -68,11 +86,11 @@ def minimise(
 ) -> Minimum:
     """Minimise by Levenberg–Marquardt with a second-order correction of rejected steps.
 
-    A rejected trial yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
-
-    The damping λ holds each step near its start like a prior of the standard deviation reach / √λ. Marquardt's scaling
-    by the columns of the Jacobian holds strongly determined directions instead. It stops in a narrow valley whose
-    weak direction is curved, as that of an instant at which the force on a pendulum changes its sign.
+    The damping λ holds each step near its start like a prior of the standard deviation reach / √λ if the noise were as
+    large as the residuals. (Marquardt's scaling by the columns of the Jacobian holds strongly determined directions
+    instead. It stops in a narrow valley whose weak direction is curved, as that of an instant at which the force on a
+    pendulum changes its sign.) λ follows the ratio of the actual to the foreseen gain (Nielsen 1999). A rejected trial
+    yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
@@ -80,88 +98,73 @@ def minimise(
         max_iterations: limit of the number of evaluations.
         plateau: mean square of the residuals. Above it, the iteration ends if three consecutive steps gain less than a
             tenth: residuals of that size are a misfit of the model that further steps do not remove.
-        reach: prior standard deviation of θ, whose rows the residual contains, shape (p,). Where it is inf, and for
-            all parameters if it is None, Marquardt's scaling applies.
+        reach: prior standard deviation of θ, whose rows the residual contains, shape (p,); inf, and None for all
+            parameters, for no prior.
     Raises:
         FitFailed: residual or Jacobian are not finite at the start.
     """
-    evaluate = _counted(evaluate)
-    theta = np.array(start, float)
-    residual, jacobian = evaluate(theta)
-    if not _finite(residual, jacobian):
-        raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(theta, precision=4)}")
-    damping, converged, used, idle = (_FIRST_DAMPING if reach is None else 1.0), False, 1, 0
-    costs = [float(residual @ residual)]
-    steps: list[tuple[float, float]] = []  # χ² before each step, and its foreseen gain
-    while used < max_iterations and not converged:
-        scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
-        scaled = jacobian / scale
-        normal, gradient = scaled.T @ scaled, scaled.T @ residual
-        metric = np.ones(len(theta)) if reach is None else _metric(reach * scale)
-        damped = cast(Array, normal + damping * np.diag(metric))
-        step = -cast(Array, np.linalg.solve(damped, gradient))
-        # the step's length is in standard deviations, which grow with residuals above the noise
-        unit = max(1.0, costs[-1] / len(residual))
-        foreseen = -float((2 * gradient + normal @ step) @ step)
-        trial = evaluate(theta + step / scale)
+    at = _linearised(evaluate, np.array(start, float))
+    if at is None:
+        raise FitFailed(f"the model gives no finite numbers at its start values {np.array2string(start, precision=4)}")
+    costs, tried, damping, growth, used = [at.cost], [at.cost], _FIRST_DAMPING, 2.0, 1
+    settled = at.left < _LEFT * at.unit
+    while used < max_iterations and damping < _MAX_DAMPING and not settled:
+        held = _reach(at, reach) / np.sqrt(damping * at.unit)
+        step = _held_step(at, at.residual, held)
+        moved = at.jacobian @ step
+        trial = _linearised(evaluate, at.theta + step)
         used += 1
-        if foreseen > _MIN_GAIN * unit and _finite(*trial) and trial[0] @ trial[0] >= costs[-1]:
-            bend = -cast(Array, np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step)))
-            if used < max_iterations and np.linalg.norm(bend) < _MAX_BEND_RATIO * np.linalg.norm(step):
-                step = step + bend
-                trial = evaluate(theta + step / scale)
+        if trial is not None and trial.cost >= at.cost and used < max_iterations:
+            bend = _held_step(at, trial.residual - at.residual - moved, held)
+            if np.linalg.norm(bend / held) < _MAX_BEND_RATIO * np.linalg.norm(step / held):
+                trial = _linearised(evaluate, at.theta + step + bend)
                 used += 1
-        better = _finite(*trial) and trial[0] @ trial[0] < costs[-1]
-        gained = costs[-1] - float(trial[0] @ trial[0]) if better else foreseen
-        # a rejected step with a large predicted gain is too long and not idle: a shorter one follows
-        idle = idle + 1 if gained < _MIN_GAIN * unit else 0
-        converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
-        converged |= idle >= 4  # the data do not determine the direction of the steps
-        steps.append((costs[-1], foreseen))
-        many = steps[-_MANY:]
-        converged |= (
-            reach is not None
-            and len(many) == _MANY
-            and many[0][0] - costs[-1] < _SMALL_GAIN * unit
-            and max(gain for _, gain in many) < unit  # as where an unknown acts by its square only
-        )
-        if better:
-            theta, (residual, jacobian) = theta + step / scale, trial
-            damping = max(damping / 10, 1e-10)
-            costs.append(float(residual @ residual))
-            if plateau is not None and len(costs) > 3 and costs[-1] > max(plateau * len(residual), 0.9 * costs[-4]):
+        if trial is not None and trial.cost < at.cost:
+            ratio = (trial.cost - at.cost) / float((2 * at.residual + moved) @ moved)
+            damping, growth, at = damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 2.0, trial
+            costs.append(at.cost)
+            if plateau is not None and len(costs) > 3 and costs[-1] > max(plateau * len(at.residual), 0.9 * costs[-4]):
                 break
         else:
-            damping *= 10
-            if damping > 1e10:
-                break
-    return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
+            damping, growth = damping * growth, growth * 2
+        tried.append(at.cost)
+        # the Jacobian foresees too much with an unknown that acts by its square, and with residuals above the noise
+        idle = len(tried) > _MANY and tried[-_MANY - 1] - at.cost < _SMALL_GAIN * at.unit
+        settled = at.left < (at.unit if idle else _LEFT) * at.unit
+    return replace(at, converged=settled, iterations=used)
 
 
-def _metric(reach: Array) -> Array:
-    """Return the weight of each squared step in the damping, for `reach` in standard deviations of the residuals."""
-    return np.where(np.isfinite(reach), reach, _FIRST_DAMPING**-0.5) ** -2.0
+def _linearised(evaluate: Evaluate, theta: Array) -> Minimum | None:
+    """Return the linear model about θ; None if it is not finite."""
+    residual, jacobian = evaluate(theta)
+    spend(jacobian.size)
+    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+        return None
+    return Minimum(theta, inverse_normal(jacobian), residual, jacobian, False, 1)
 
 
-def _counted(evaluate: Evaluate) -> Evaluate:
-    """Count every evaluation as work."""
-
-    def counted(theta: Array) -> tuple[Array, Array]:
-        residual, jacobian = evaluate(theta)
-        spend(jacobian.size)
-        return residual, jacobian
-
-    return counted
+def _reach(at: Minimum, prior_std: Array | None) -> Array:
+    """Return how far each unknown may be from its value, shape (p,): the prior's standard deviation if it has one."""
+    free = _FREE_REACH / _sizes(at.jacobian)
+    return free if prior_std is None else np.where(np.isfinite(prior_std), prior_std, free)
 
 
-def _finite(residual: Array, jacobian: Array) -> bool:
-    return bool(np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian)))
+def _held_step(at: Minimum, residual: Array, std: Array) -> Array:
+    """Return the step that reduces residuals best, with a prior of 0 and the given standard deviations, shape (p,)."""
+    size = _sizes(at.jacobian)
+    scaled = at.jacobian / size
+    held = scaled.T @ scaled + np.diag((std * size) ** -2.0)
+    return -cast(Array, np.linalg.solve(held, scaled.T @ residual)) / size
+
+
+def _sizes(jacobian: Array) -> Array:
+    """Return the lengths of the columns, shape (p,), at least 1e-100, whose inverse square is a double."""
+    return np.maximum(np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)), 1e-100)
 
 
 def inverse_normal(jacobian: Array) -> Array:
     """Return (JᵀJ)⁻¹, computed from scaled columns. Directions without information get a huge variance."""
-    scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    scale = np.maximum(scale, 1e-100)  # the inverse of its square is a finite double
+    scale = _sizes(jacobian)
     values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
     inverse = (vectors / np.maximum(values, 1e-15)) @ vectors.T
     inverse = inverse / np.outer(scale, scale)

@@ -118,8 +118,11 @@ def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estima
 
 
 def _with(estimate: Estimate, found: Together, at: int) -> Estimate:
-    c = np.exp(found.log_damping[at])
-    by_friction = {ErrorLabel("friction", f"{k + 1}"): c * v for k, v in enumerate(found.shared[at].T)}
-    by_number = {number: c * v for number, v in found.by_number[at].items()}
-    own = found.own[at] * np.outer(c, c)
-    return replace(estimate, values=c, covariance=own, shared={**estimate.shared, **by_friction}, by_number=by_number)
+    by_friction = {ErrorLabel("friction", f"{k + 1}"): v for k, v in enumerate(found.shared[at].T)}
+    return replace(
+        estimate,
+        values=found.damping[at],
+        covariance=found.own[at],
+        shared={**estimate.shared, **by_friction},
+        by_number=found.by_number[at],
+    )

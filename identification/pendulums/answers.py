@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.least_squares import Minimum
-from identification.pendulums.transient import TransientFit, log_intervals
+from identification.pendulums.transient import TransientFit, intervals_of
 
 _MAX_CHI2_ABOVE_BEST = 8.0  # odds of 50 to 1 against a minimum, which exclude it from a 95 % interval
 _MAX_SAME_DISTANCE = 1.0  # squared standard deviations between minima that count as the same
@@ -48,16 +48,15 @@ def covering(fit: TransientFit, answers: Sequence[Minimum], where: str, advice: 
     """
     if len(answers) == 1:
         return fit
-    c = np.array(list(fit.values.values()))
-    apart = [m.theta[:2] - answers[0].theta[:2] for m in answers[1:]]
-    more = sum((np.outer(d, d) for d in apart), np.zeros((2, 2))) / 1.96**2
-    covariance = fit.covariance / np.outer(c, c) + more
-    others = ", ".join(f"c3 {x:.3e} with c4 {y:.3e}" for x, y in (np.exp(m.theta[:2]) for m in answers[1:]))
-    warning = f"{others}, {where}, explain the readings nearly as well; the intervals contain them. {advice}"
+    best, *others = (np.exp(m.theta[:2]) for m in answers)
+    more = sum((np.outer(c - best, c - best) for c in others), np.zeros((2, 2))) / 1.96**2
+    covariance = fit.covariance + more
+    named = ", ".join(f"c3 {c3:.3e} with c4 {c4:.3e}" for c3, c4 in others)
+    warning = f"{named}, {where}, explain the readings nearly as well; the intervals contain them. {advice}"
     return replace(
         fit,
-        covariance=covariance * np.outer(c, c),
-        intervals=log_intervals(c, covariance),
+        covariance=covariance,
+        intervals=intervals_of(np.array(list(fit.values.values())), covariance),
         warnings=[*fit.warnings, warning],
         open_friction=None if fit.open_friction is None else fit.open_friction.widened(more),
     )

@@ -46,7 +46,7 @@ def likely_causes(release: RecordedRelease, minimum: Minimum, end_s: float) -> l
         minimum, end_s: first fit with residuals above noise, and its horizon.
     """
     n = sum(len(c.time_s) for c in release.problem().cut(end_s))
-    excess = float(minimum.residual[:n] @ minimum.residual[:n]) - n
+    excess = minimum.cost - minimum.left - n  # the search ended before the minimum
     causes = candidates(release, minimum, end_s)
     if not causes or causes[0].mended < _MIN_EXPLAINED_SHARE * excess:
         return []

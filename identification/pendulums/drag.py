@@ -3,7 +3,7 @@
 A spin-down alone does not separate the air's drag from friction with the contact force (rig_configs.drag), so its
 result is stored as one quantity Q. The roots L of its covariance LLᵀ are two errors that the damping, releases and
 predictions share, in c3 and c4 by their correlation with Q times their own error. Masses and lengths change Q, M and c
-by the same share, dQ/dp = Q · d ln c/dp. Source: docs/theory/pendulum_damping.md.
+by the same share, dQ/dp = Q · (dc/dp)/c. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FoundDrag:
 
     Attributes:
         drag: drag of A and B.
-        correlation: correlation of ln c3 and ln c4 with each independent part of the drag's error, shape (2, 2).
+        correlation: correlation of c3 and c4 with each independent part of the drag's error, shape (2, 2).
     """
 
     drag: Drag
@@ -71,9 +71,9 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
     spread = np.sqrt(np.diag(found.covariance)[at])
     together = found.covariance[np.ix_(at, at)] / np.outer(spread, spread)
     # for the same deceleration a heavier or longer pendulum has a proportionally larger torque of every kind
-    by_number = {name: values * by[DAMPING] for name, by in found.by_number.items()}
+    by_number = {name: values * by[DAMPING] / found.values[DAMPING] for name, by in found.by_number.items()}
     drag = Drag(values, together[2:, 2:] * np.outer(std, std), True, by_number)
-    # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(ln c, e) = corr(ln c, δ/s) (L/s)⁻ᵀ
+    # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(c, e) = corr(c, δ/s) (L/s)⁻ᵀ
     return FoundDrag(drag, together[:2, 2:] @ np.linalg.inv(drag.root / std[:, None]).T)
 
 

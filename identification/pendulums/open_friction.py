@@ -2,9 +2,10 @@
 
 Friction that is too small to be found biases c by many times the standard deviation of a fit without friction.
 Therefore every fit is extended at its end by the unknowns M_A, M_B (torque independent of the speed) and F_A, F_B
-(torque F φ̇² by the contact force), with one Gauss–Newton step from its minimum. These four unknowns are common to the
+(torque F φ̇² by the contact force), and its search goes on from its minimum. These four unknowns are common to the
 tests of a campaign: a flick at rest determines M but hardly F, releases at several speeds determine M + F ω². Together
 they determine c nearly as well as without friction. Friction of any sign is allowed in a fit: bounds at 0 would bias c.
+The torque is linear in c, M and F, so that χ² is nearly a parabola of them (in ln c it is a bent valley).
 Source: docs/theory/pendulum_damping.md.
 """
 
@@ -27,10 +28,10 @@ DAMPING, FRICTION = slice(0, 2), slice(2, 6)
 TORQUE_STD_Nm: Final = 1e-2
 CONTACT_STD_kg_m2: Final = 1e-4
 """Prior standard deviations larger than any bearing's friction, for finite variances of undetermined directions."""
-_UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
+_UNIT = np.array([1e-3, 1e-3, 1e-6, 1e-6, 1e-9, 1e-9])
 _INSIDE = 1.96**2  # χ² of a 95 % interval
 _MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of a correlation matrix
-_FURTHEST = 40.0  # largest half-width of an interval in standard deviations of ln c with free friction
+_FURTHEST = 40.0  # largest half-width of an interval in standard deviations of c with free friction
 
 
 def whitener(matrix: Array) -> Array:
@@ -51,7 +52,7 @@ class OpenFriction:
     """Estimate of damping and friction by one transient.
 
     Attributes:
-        values: ln c3, ln c4, M_A, M_B (N m), F_A, F_B (kg m²), shape (6,). Friction may have any sign.
+        values: c3, c4 (N m s/rad), M_A, M_B (N m), F_A, F_B (kg m²), shape (6,), of any sign.
         covariance: covariance of the values, shape (6, 6).
         by_number: known number → derivative of the values by it, shape (6,).
     """
@@ -66,7 +67,7 @@ class OpenFriction:
 
         Args:
             values: as in the class, with any split between M and F.
-            covariance: covariance of ln c3, ln c4 and both torques at the speed, shape (4, 4).
+            covariance: covariance of c3, c4 and both torques at the speed, shape (4, 4).
             speed2: ω², (rad/s)².
         """
         design = np.zeros((4, 6))
@@ -120,26 +121,27 @@ class OpenFriction:
         """Return the shifts of the values for one standard deviation of each of k sources.
 
         Returns:
-            Shape (6, k), in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice).
+            Shape (6, k), in units of 1e-3 N m s/rad, 1e-6 N m and 1e-9 kg m², two of each.
         """
         return (self._shifts(sources) / _UNIT).T
 
-    def widened(self, log_damping: Array) -> OpenFriction:
-        """Return the result with an additional covariance of ln c3, ln c4, shape (2, 2)."""
+    def widened(self, damping: Array) -> OpenFriction:
+        """Return the result with an additional covariance of c3, c4, shape (2, 2)."""
         covariance = self.covariance.copy()
-        covariance[DAMPING, DAMPING] += log_damping
+        covariance[DAMPING, DAMPING] += damping
         return replace(self, covariance=covariance)
 
     def information(self) -> Array:
-        """Return the inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
+        """Return the inverse covariance in the units of `loadings`, shape (6, 6)."""
         return inverse(self.covariance / np.outer(_UNIT, _UNIT))
 
     def given(self, friction: Array) -> tuple[Array, Array]:
-        """Return ln c3, ln c4 (2,) and their covariance (2, 2) for known M_A, M_B, F_A, F_B, shape (4,)."""
-        information = self.information()
+        """Return c3, c4 (2,) and their covariance (2, 2) for known M_A, M_B, F_A, F_B, shape (4,)."""
+        information, unit = self.information(), _UNIT[DAMPING]
         own = inverse(information[DAMPING, DAMPING])
         away = (friction - self.values[FRICTION]) / _UNIT[FRICTION]
-        return self.values[DAMPING] - own @ information[DAMPING, FRICTION] @ away, own
+        found = self.values[DAMPING] - unit * (own @ information[DAMPING, FRICTION] @ away)
+        return found, own * np.outer(unit, unit)
 
 
 @dataclass(frozen=True)
@@ -147,13 +149,13 @@ class Alone:
     """Damping by one transient with free friction of any sign.
 
     Attributes:
-        log_damping: ln c3, ln c4, shape (2,).
+        damping: c3, c4, N m s/rad, shape (2,).
         covariance: covariance of these, shape (2, 2).
         known_std: standard deviations for known friction, shape (2,).
         torque_Nm, contact_kg_m2: upper 95 % limits of the friction of A and B, shape (2,).
     """
 
-    log_damping: Array
+    damping: Array
     covariance: Array
     known_std: Array
     torque_Nm: Array
@@ -167,16 +169,16 @@ class Together:
     Attributes:
         friction, covariance: M_A, M_B, F_A, F_B and their covariance with the known numbers' uncertainty, shapes (4,),
             (4, 4).
-        log_damping: ln c3, ln c4 of each test with this friction, shape (2,) each.
+        damping: c3, c4 of each test with this friction, N m s/rad, shape (2,) each.
         own: covariance of these for known friction, shape (2, 2) each.
-        shared: shifts of each test's ln c3, ln c4 for one standard deviation of each independent part of the friction's
+        shared: shifts of each test's c3, c4 for one standard deviation of each independent part of the friction's
             error, shape (2, 4) each.
-        by_number: known number → derivative of each test's ln c3, ln c4 by it, shape (2,) each.
+        by_number: known number → derivative of each test's c3, c4 by it, shape (2,) each.
     """
 
     friction: Array
     covariance: Array
-    log_damping: list[Array]
+    damping: list[Array]
     own: list[Array]
     shared: list[Array]
     by_number: list[dict[str, Array]]
@@ -285,10 +287,10 @@ def together(
     total = whole.covering(sources).covariance[FRICTION, FRICTION]
     out = Together(whole.values[FRICTION], total, [], [], [], [])
     for test in tests:
-        log_damping, own = test.given(whole.values[FRICTION])
+        damping, own = test.given(whole.values[FRICTION])
         out.own.append(own)
-        out.log_damping.append(log_damping)
-        out.shared.append(-own @ test.information()[DAMPING, FRICTION] @ parts)
+        out.damping.append(damping)
+        out.shared.append(np.array([test.given(at)[0] - damping for at in whole.values[FRICTION] + (parts.T * unit)]).T)
         # with the joint friction the damping depends on a number directly and through that friction
         moved = {n: replace(test, values=test.slope(n)).given(whole.slope(n)[FRICTION])[0] for n in whole.by_number}
         out.by_number.append(moved)

@@ -31,7 +31,7 @@ from identification.pendulums.open_numbers import PENDULUMS, with_open_numbers
 from identification.pendulums.opening_locks import Opening, opened_locks
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import EncoderReadings, TransientProblem
+from identification.pendulums.transient import EncoderReadings, OpenedFit, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
@@ -293,31 +293,29 @@ class RecordedRelease:
             at = 2 if shape == "contact" else 0
             torque[at : at + 2] = minimum.theta[_BASE:after]
         found = problem.opened(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
-        if found is None and shape is None:  # M and F that nearly cancel lie far away along a valley
-            start = self.with_torque(minimum.theta, np.zeros(2))
-            dry = self.problem("torque").opened(start, end_s)
-            return None if dry is None else self._at_this_speed("torque", dry, end_s, setting)
-        if found is None:
-            return self._at_this_speed(shape or "torque", minimum, end_s, setting)
+        if found is None:  # M and F that nearly cancel lie far away along a valley
+            start = minimum.theta if shape else self.with_torque(minimum.theta, np.zeros(2))
+            dry = self.problem(shape or "torque").opened(start, end_s)
+            return None if dry is None else self._at_this_speed(shape or "torque", dry, end_s, setting)
         unit = np.r_[1.0, 1.0, 1.0 / scale]
         # M and F ω² have nearly the same effect. The dependence of c on each comes from the covariance of white noise,
         # since the scatter of a hundred rounding draws would distort it. The draws only give the common stretch.
-        white = found.covariance[np.ix_(wanted, wanted)]
+        white = found.minimum.covariance[np.ix_(wanted, wanted)]
         seen = np.zeros((4, 6))
         seen[[0, 1, 2, 3, 2, 3], range(6)] = 1.0
-        drawn = seen @ problem.covariance(found, end_s, setting, wanted) @ seen.T
+        drawn = seen @ problem.covariance(found.minimum, end_s, setting, wanted) @ seen.T
         stretch = max(1.0, float(np.max(np.diag(drawn) / np.diag(seen @ white @ seen.T))))
-        by = self.by_number(problem, found, end_s, "both", wanted)
+        by = self.by_number(problem, found.minimum, end_s, "both", wanted)
         covariance = stretch * white * np.outer(unit, unit)
-        return OpenFriction(found.theta[wanted] * unit, covariance, {name: v * unit for name, v in by.items()})
+        return OpenFriction(found.values[wanted] * unit, covariance, {name: v * unit for name, v in by.items()})
 
-    def _at_this_speed(self, shape: Shape, minimum: Minimum, end_s: float, setting: Setting) -> OpenFriction:
+    def _at_this_speed(self, shape: Shape, found: OpenedFit, end_s: float, setting: Setting) -> OpenFriction:
         wanted, w2 = [0, 1, _BASE, _BASE + 1], self.speed_rad_s**2
         problem = self.problem(shape)
-        own = problem.covariance(minimum, end_s, setting, wanted)
-        by = self.by_number(problem, minimum, end_s, shape, wanted)
-        one, two = minimum.theta[_BASE : _BASE + 2], np.zeros(2)
-        values = np.r_[minimum.theta[:2], two, one / w2] if shape == "contact" else np.r_[minimum.theta[:2], one, two]
+        own = problem.covariance(found.minimum, end_s, setting, wanted)
+        by = self.by_number(problem, found.minimum, end_s, shape, wanted)
+        c, one, two = found.values[:2], found.values[_BASE : _BASE + 2], np.zeros(2)
+        values = np.r_[c, two, one / w2] if shape == "contact" else np.r_[c, one, two]
         spread = {
             name: np.r_[v[:2], two, v[2:] / w2] if shape == "contact" else np.r_[v, two] for name, v in by.items()
         }

@@ -159,8 +159,7 @@ class SpinDown:
     def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
         """Return damping and free friction from a fit with some kinds of friction; None if the fit fails.
 
-        The problem contains the kinds of BOTH; other kinds of the fit are left out. If the iteration nearly converges,
-        the remaining step is added as a standard deviation.
+        The problem contains the kinds of BOTH; other kinds of the fit are left out.
         """
         problem = self.problem(BOTH)
         for kind, std in (("torque", TORQUE_STD_Nm), ("contact", CONTACT_STD_kg_m2)):
@@ -169,16 +168,13 @@ class SpinDown:
         problem.prior[PSI] = minimum.theta[PSI]  # as in the fit
         none: dict[Kind, np.ndarray] = {kind: np.zeros(2) for kind in BOTH}
         start = self.extended(minimum.theta, kinds, BOTH, none)
-        found, left = problem.opened(start, self.end_s), np.zeros(len(start))
+        found = problem.opened(start, self.end_s)
         if found is None:
-            nearly = problem.part_way(start, self.end_s)
-            if nearly is None:
-                return None
-            found, left = nearly
+            return None
         wanted = [0, 1, *range(COUNT, COUNT + 4)]
-        by = self.by_number(problem, found, BOTH, wanted)
-        covariance = problem.covariance(found, self.end_s, setting, wanted) + np.outer(left[wanted], left[wanted])
-        return OpenFriction(found.theta[wanted], covariance, by)
+        by = self.by_number(problem, found.minimum, BOTH, wanted)
+        covariance = problem.covariance(found.minimum, self.end_s, setting, wanted)
+        return OpenFriction(found.values[wanted], covariance, by)
 
     def by_number(
         self, problem: TransientProblem, minimum: Minimum, kinds: Kinds, wanted: Sequence[int]

@@ -13,11 +13,12 @@ from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.special import chdtri
 
 from identification.curve import FittedCurve
-from identification.least_squares import Minimum, inverse_normal, minimise
+from identification.least_squares import Minimum, minimise
 from identification.pendulums.friction import Friction
-from identification.pendulums.open_friction import Alone, OpenFriction, alone
+from identification.pendulums.open_friction import DAMPING, Alone, OpenFriction, alone
 from identification.pendulums.opening_locks import Opening
 from identification.pendulums.quantiser import rounding_errors
 from identification.samples import Averages, correlation_inflation
@@ -46,10 +47,7 @@ NOT_SEPARATED = (
 """Message with the fields log, test and advice."""
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
 _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
-_MAX_LINEAR_EXCESS = 1.0  # χ² above that of the linear model for which one step is sufficient
-_MAX_VALLEY_EXCESS = 4.0  # the same for an iteration that continues along a valley
-_OPENED = 8  # iterations with additional unknowns
-_MAX_REMAINING_CHI2 = 25.0  # largest reduction of χ² by the remaining step
+_MAX_LEFT = float(chdtri(4, 1e-3))  # reduction of χ² by the four unknowns of friction that chance seldom exceeds
 _WARNING_RATIO = 1.5  # ratio of standard deviations with and without friction that causes a warning
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
@@ -61,7 +59,7 @@ class TransientFit:
     Attributes:
         values: c3_Nms_per_rad, c4_Nms_per_rad.
         covariance: covariance of the values, shape (2, 2).
-        intervals: 95 % intervals by name, from ln c ± 1.96 standard deviations and therefore positive.
+        intervals: 95 % intervals by name, c ± 1.96 standard deviations without negative values.
         curves: measured and fitted angles of both pendulums.
         chi2_per_dof: χ²/dof against the encoder's white noise.
         horizon_s: length of the fitted stretch, s.
@@ -73,7 +71,7 @@ class TransientFit:
         open_friction: damping and free friction for the joint estimate of several tests
             (identification.pendulums.open_friction); None if friction was not considered.
         undecided: warning that friction too small to be found has widened the intervals; "" if it has not.
-        by_number: known number → derivative of ln c3, ln c4 by it, shape (2,).
+        by_number: known number → derivative of ln c3, ln c4 by it, shape (2,), of the fit without free friction.
         number_std: known number that is free in the fit → its standard uncertainty, whose part is in the covariance.
         openings: instants at which the locks opened, of a release.
     """
@@ -104,6 +102,8 @@ class TransientFit:
     @property
     def slopes(self) -> dict[str, np.ndarray]:
         """Known number → derivative of c3, c4 by it, shape (2,)."""
+        if self.open_friction is not None:
+            return {number: slope[DAMPING] for number, slope in self.open_friction.by_number.items()}
         c = np.array(list(self.values.values()))
         return {number: c * slope for number, slope in self.by_number.items()}
 
@@ -169,6 +169,24 @@ class EncoderReadings:
 
 
 @dataclass(frozen=True)
+class OpenedFit:
+    """Fit in c3, c4 instead of their logarithms.
+
+    The torque is linear in damping and friction, so that the linear model holds further than a motion can be followed:
+    to damping below 0, as by a test that hardly determines it, and past friction below 0, which drives a pendulum at
+    rest to either side.
+
+    Attributes:
+        minimum: last point of the search; θ as of the problem, Jacobian and covariance by c3, c4 instead of their
+            logarithms.
+        values: c3, c4 and the other unknowns at the end of the linear model's step from there, shape (p,).
+    """
+
+    minimum: Minimum
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
 class TransientProblem:
     """Nonlinear least-squares problem of one transient; θ begins with ln c3, ln c4.
 
@@ -190,14 +208,7 @@ class TransientProblem:
         first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
         return first, second
 
-    def solve(
-        self,
-        start: np.ndarray,
-        end_s: float,
-        iterations: int = 25,
-        plateau: float | None = None,
-        in_valley: bool = False,
-    ) -> Minimum:
+    def solve(self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None) -> Minimum:
         """Minimise the residuals of the data up to `end_s`.
 
         Args:
@@ -205,41 +216,33 @@ class TransientProblem:
             end_s: last instant of the data, s.
             iterations: largest number of iterations.
             plateau: χ² per reading above which the iteration ends at steps of little gain, because the model is wrong.
-            in_valley: whether to damp the steps in units of the prior, for a start in a narrow valley (see `minimise`).
         """
-        return minimise(self._evaluation(end_s), start, iterations, plateau, self.prior_std if in_valley else None)
+        return minimise(self._evaluation(end_s), start, iterations, plateau, self.prior_std)
 
-    def opened(self, theta: np.ndarray, end_s: float) -> Minimum | None:
-        """Return the minimum near that of a fit with fewer unknowns; None if no minimum is found.
+    def opened(self, theta: np.ndarray, end_s: float) -> OpenedFit | None:
+        """Return the fit with friction of any sign, from a fit without; None if the search ends where the linear model
+        foresees more than chance.
 
-        One Gauss–Newton step is used if the linear model predicts its result, otherwise an iteration.
+        Args:
+            theta: minimum of the fit without, extended by friction of 0.
+            end_s: last instant of the data, s.
         """
-        evaluate = self._evaluation(end_s)
-        residual, jacobian = evaluate(theta)
-        if not np.all(np.isfinite(residual)):
+        evaluate, unit = self._evaluation(end_s), np.ones(len(theta))
+        unit[:2] = np.exp(theta[:2])
+
+        def with_logarithms(at: np.ndarray) -> np.ndarray:
+            return np.r_[np.log(at[:2]), at[2:]]
+
+        def by_damping(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            if np.min(at[:2]) <= 0:
+                return np.full(1, np.inf), np.zeros((1, len(at)))
+            residual, jacobian = evaluate(with_logarithms(at))
+            return residual, jacobian / np.r_[at[:2], np.ones(len(at) - 2)]
+
+        found = minimise(by_damping, np.r_[unit[:2], theta[2:]], reach=self.prior_std * unit)
+        if found.left > _MAX_LEFT * found.unit:
             return None
-        covariance = inverse_normal(jacobian)
-        step = -covariance @ (jacobian.T @ residual)
-        there = residual + jacobian @ step
-        found = evaluate(theta + step)[0]
-        unit = max(1.0, float(there @ there) / len(there))
-        if np.all(np.isfinite(found)) and found @ found < there @ there + _MAX_LINEAR_EXCESS * unit:
-            return Minimum(theta + step, covariance, found, jacobian, True, 1)
-        minimum = self.solve(theta, end_s, _OPENED)
-        return minimum if minimum.converged or minimum.cost < there @ there + _MAX_VALLEY_EXCESS * unit else None
-
-    def part_way(self, theta: np.ndarray, end_s: float) -> tuple[Minimum, np.ndarray] | None:
-        """Return the end of an iteration from θ that did not converge, and its remaining step.
-
-        For a model that is not smooth (friction that stops a pendulum) the iteration creeps along a valley, whose end
-        the linearisation predicts. None if that end is far away, or if the motion at θ is not finite.
-        """
-        if not np.all(np.isfinite(self.residual(theta, end_s))):
-            return None
-        minimum = self.solve(theta, end_s, _OPENED)
-        step = -minimum.covariance @ (minimum.jacobian.T @ minimum.residual)
-        moved = minimum.jacobian @ step
-        return (minimum, step) if np.all(np.isfinite(step)) and moved @ moved < _MAX_REMAINING_CHI2 else None
+        return OpenedFit(replace(found, theta=with_logarithms(found.theta)), found.theta + found.step)
 
     def _evaluation(self, end_s: float) -> _Evaluation:
         """Return the function from θ to residual and Jacobian, prior rows last; inf if the motion is not finite."""
@@ -359,7 +362,7 @@ class TransientProblem:
         return TransientFit(
             dict(zip(_NAMES, c.tolist(), strict=True)),
             covariance * np.outer(c, c),
-            log_intervals(c, covariance),
+            intervals_of(c, covariance * np.outer(c, c)),
             curves,
             chi2,
             end_s - self.readings[0].averages.time_s[0],
@@ -387,7 +390,6 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         label: name of the test for the warning.
     """
     free: Alone = alone(found)
-    c = np.exp(free.log_damping)
     wider, warning = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
     if wider > _WARNING_RATIO:
         limits = (
@@ -404,16 +406,17 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         )
     return replace(
         fit,
-        values=dict(zip(_NAMES, c.tolist(), strict=True)),
-        covariance=free.covariance * np.outer(c, c),
-        intervals=log_intervals(c, free.covariance),
+        values=dict(zip(_NAMES, free.damping.tolist(), strict=True)),
+        covariance=free.covariance,
+        intervals=intervals_of(free.damping, free.covariance),
         warnings=[*fit.warnings, warning] if warning else fit.warnings,
         open_friction=found,
         undecided=warning,
     )
 
 
-def log_intervals(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Return 95 % intervals of c3, c4 from their values and the covariance of their logarithms."""
-    reach = np.exp(1.96 * np.sqrt(np.diag(covariance)))
-    return {name: (float(v / r), float(v * r)) for name, v, r in zip(_NAMES, c, reach, strict=True)}
+def intervals_of(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Return 95 % intervals of c3, c4; damping is not negative."""
+    reach = 1.96 * np.sqrt(np.diag(covariance))
+    low, high = np.maximum([c - reach, c + reach], 0.0).tolist()
+    return dict(zip(_NAMES, zip(low, high, strict=True), strict=True))

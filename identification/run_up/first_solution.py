@@ -105,11 +105,14 @@ def from_starts(record: RunUpRecord, structure: Structure, slow_roll: bool) -> t
             break
     if best is None:
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
-    if not best.minimum.converged or not np.all(np.isfinite(best.minimum.theta)):
-        raise UnexplainedPassage(
-            f"run-up: no convergence in {number_of(best.minimum.iterations, 'iteration')}, χ²/dof "
-            f"{best.chi2_per_dof:.3g}"
-        )
+    if not best.minimum.converged:
+        tried = number_of(best.minimum.iterations, "iteration")
+        if best.chi2_per_dof < _MAX_CHI2:
+            raise NotIdentifiable(
+                f"after {tried} the values still change, although residuals are as small as noise: the record "
+                "determines neither resonance; does the speed pass one?"
+            )
+        raise UnexplainedPassage(f"run-up: no convergence in {tried}, χ²/dof {best.chi2_per_dof:.3g}")
     return structure, best
 
 

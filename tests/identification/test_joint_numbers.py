@@ -674,18 +674,17 @@ def test_friction_is_reported_from_four_standard_deviations_and_impossible_from_
     assert len(friction_messages(joint_friction([4.1e-5, -6.1e-5, 0.0, 0.0], [1e-5] * 4))) == 2
 
 
-LOG_C = np.log([1e-3, 2e-3])
+C = np.array([1e-3, 2e-3])
 
 
-def transient(number: int, log_c: np.ndarray, friction: float = 0.0) -> tuple[Estimate, TransientFit]:
-    """ln c and M of a test that both determine each other; the slope by the mass is 0.5 of ln c."""
-    values = np.r_[log_c, friction, friction, 0.0, 0.0]
-    unit = np.array([1e-3, 1e-3, 1e-6, 1e-6, 1e-10, 1e-10])
+def transient(number: int, c: np.ndarray, friction: float = 0.0) -> tuple[Estimate, TransientFit]:
+    """c and M of a test that both determine each other; the slope by the mass is 0.5 of C."""
+    values = np.r_[c, friction, friction, 0.0, 0.0]
+    unit = np.array([*(1e-3 * C), 1e-6, 1e-6, 1e-10, 1e-10])
     correlation = np.eye(6)
     correlation[[0, 2, 1, 3], [2, 0, 3, 1]] = -0.8
-    slope = {"rotor.mass_kg": np.r_[0.5, 0.5, np.zeros(4)]}
+    slope = {"rotor.mass_kg": np.r_[0.5 * C, np.zeros(4)]}
     own = OpenFriction(values, correlation * np.outer(unit, unit), slope)
-    c = np.exp(log_c)
     fit = TransientFit(
         {"c3_Nms_per_rad": float(c[0]), "c4_Nms_per_rad": float(c[1])},
         np.diag((1e-3 * c) ** 2),
@@ -707,7 +706,7 @@ def transient(number: int, log_c: np.ndarray, friction: float = 0.0) -> tuple[Es
 
 
 def test_transients_share_the_friction_that_all_of_them_show() -> None:
-    pairs = [transient(i, LOG_C, 5e-5 + 1e-6 * i) for i in range(3)]
+    pairs = [transient(i, C, 5e-5 + 1e-6 * i) for i in range(3)]
     estimates = [one(0.0, number=7), *(e for e, _ in pairs)]
     found, shared = with_shared_friction(estimates, {f.sources: fit for (f, fit) in pairs})
     assert shared is not None
@@ -715,27 +714,26 @@ def test_transients_share_the_friction_that_all_of_them_show() -> None:
     assert np.sqrt(np.diag(shared.covariance))[:2] == pytest.approx([1e-6 / math.sqrt(3)] * 2, rel=1e-3)
     assert found[0] is estimates[0]
     for i, each in enumerate(found[1:]):
-        # ln c moves by −0.8 · 10⁻³ for 10⁻⁶ N m; with friction known its deviation is √(1 − 0.8²) · 10⁻³
-        log_c = LOG_C - 0.8e-3 * (1 - i)
-        assert np.log(each.values) == pytest.approx(log_c, abs=1e-8)
-        relative = np.sqrt(np.diag(each.covariance)) / each.values
+        # c moves by −0.8 · 10⁻³ C for 10⁻⁶ N m; with friction known its deviation is √(1 − 0.8²) · 10⁻³ C
+        assert each.values == pytest.approx(C * (1 - 0.8e-3 * (1 - i)), rel=1e-8)
+        relative = np.sqrt(np.diag(each.covariance)) / C
         assert relative == pytest.approx([0.6e-3] * 2, rel=1e-6)
         labels = {label for label in each.shared if label.kind == "friction"}
         assert labels == {ErrorLabel("friction", f"{k}") for k in (1, 2, 3, 4)}  # the former one is replaced
-        assert each.shared[GAIN_X] == pytest.approx(np.exp(LOG_C) * 1e-6)
-        by_friction = math.sqrt(sum(float(each.shared[label][0]) ** 2 for label in labels)) / each.values[0]
+        assert each.shared[GAIN_X] == pytest.approx(C * 1e-6)
+        by_friction = math.sqrt(sum(float(each.shared[label][0]) ** 2 for label in labels)) / C[0]
         assert by_friction == pytest.approx(0.8e-3 / math.sqrt(3), rel=1e-3)
-        assert each.by_number["rotor.mass_kg"] == pytest.approx(0.5 * each.values, rel=1e-6)
+        assert each.by_number["rotor.mass_kg"] == pytest.approx(0.5 * C, rel=1e-6)
 
 
 def test_one_transient_shares_nothing() -> None:
-    estimate, fit = transient(0, LOG_C)
+    estimate, fit = transient(0, C)
     (found,), shared = with_shared_friction([estimate], {estimate.sources: fit})
     assert shared is None
     assert set(found.shared) == {GAIN_X}
-    assert found.by_number["rotor.mass_kg"] == pytest.approx(0.5 * np.exp(LOG_C))
-    assert found.covariance == pytest.approx(np.diag((1e-3 * np.exp(LOG_C)) ** 2), rel=1e-9)
-    pair = [transient(i, LOG_C) for i in range(2)]
+    assert found.by_number["rotor.mass_kg"] == pytest.approx(0.5 * C)
+    assert found.covariance == pytest.approx(np.diag((1e-3 * C) ** 2), rel=1e-9)
+    pair = [transient(i, C) for i in range(2)]
     partly = replace(pair[1][0], names=("c3_Nms_per_rad",), values=pair[1][0].values[:1])
     kept_as_is, none = with_shared_friction(
         [pair[0][0], partly], {e.sources: fit for e, (_, fit) in zip((pair[0][0], partly), pair, strict=True)}
@@ -745,8 +743,8 @@ def test_one_transient_shares_nothing() -> None:
 
 
 def test_friction_is_found_without_a_test_that_stands_apart() -> None:
-    pairs = [transient(i, LOG_C, 5e-5) for i in range(4)]
-    pairs.append(transient(4, LOG_C + 0.5, 3e-4))
+    pairs = [transient(i, C, 5e-5) for i in range(4)]
+    pairs.append(transient(4, 1.6 * C, 3e-4))
     estimates = [e for e, _ in pairs]
     found, shared = with_shared_friction(estimates, {e.sources: fit for e, fit in pairs})
     assert shared is not None
@@ -757,7 +755,7 @@ def test_friction_is_found_without_a_test_that_stands_apart() -> None:
 def test_the_friction_is_computed_four_times_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each joint estimate leaves out one more test."""
     module = "identification.joint.shared_friction"
-    pairs = [transient(i, LOG_C, 5e-5) for i in range(8)]
+    pairs = [transient(i, C, 5e-5) for i in range(8)]
     out: set[int] = set()
     used: list[list[int] | None] = []
 
@@ -787,11 +785,11 @@ def test_tests_that_differ_only_in_their_correlation_are_widened_twofold(
 
 
 def test_sources_of_known_numbers_weigh_the_tests_together() -> None:
-    pairs = [transient(i, LOG_C, 5e-5) for i in range(3)]
+    pairs = [transient(i, C, 5e-5) for i in range(3)]
     source = KnownSource("rotor.mass_kg", 0.01, "kg", {"rotor.mass_kg": 0.01})
     _, shared = with_shared_friction([e for e, _ in pairs], {e.sources: fit for e, fit in pairs}, 0.0, [source])
     assert shared is not None
-    assert shared.by_number[0]["rotor.mass_kg"] == pytest.approx([0.5, 0.5], rel=1e-6)
+    assert shared.by_number[0]["rotor.mass_kg"] == pytest.approx(0.5 * C, rel=1e-6)
 
 
 def test_the_alarm_is_one_in_a_thousand() -> None:

@@ -17,7 +17,7 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from rig_configs.known import KnownSource
 
 MASS = "pendulums.a.mass_kg"
-UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
+UNIT = np.array([1e-3, 1e-3, 1e-6, 1e-6, 1e-9, 1e-9])
 SOURCE = KnownSource(MASS, 1e-5, "kg", {MASS: 1e-5})
 
 

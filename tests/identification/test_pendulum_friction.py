@@ -15,7 +15,7 @@ from synthetic import Campaign
 from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, fit_release, fit_spin_down_run, identify
 from identification.identify import _left_out
-from identification.least_squares import Minimum, minimise
+from identification.least_squares import minimise
 from identification.methods import advice
 from identification.pendulums.frictional_motion import COLUMNS, frictional_motion
 from identification.pendulums.recorded_speed import speed_of_marks, speed_of_samples
@@ -262,24 +262,10 @@ def test_a_fit_that_has_not_settled_is_left_out(monkeypatch: pytest.MonkeyPatch)
         identify([run], campaign.rig)
 
 
-def test_a_spin_down_whose_friction_nearly_settles_is_kept_and_wider(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_spin_down_whose_friction_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = nominal()
     run = campaign.spin_down()
-    settled = fit_spin_down_run(run, known(campaign))
     monkeypatch.setattr(TransientProblem, "opened", lambda *_: None)
-    kept = fit_spin_down_run(run, known(campaign))
-    assert kept.std == pytest.approx(settled.std, rel=0.1)  # an iteration that does settle has no way left
-    part_way = TransientProblem.part_way
-
-    def further(problem: TransientProblem, theta: np.ndarray, end_s: float) -> tuple[Minimum, np.ndarray] | None:
-        found = part_way(problem, theta, end_s)
-        assert found is not None
-        return found[0], found[1] + 3.0 * np.sqrt(np.diag(found[0].covariance))
-
-    monkeypatch.setattr(TransientProblem, "part_way", further)
-    wider = fit_spin_down_run(run, known(campaign))
-    assert all(wider.std[name] > 1.5 * std for name, std in settled.std.items())
-    monkeypatch.setattr(TransientProblem, "part_way", lambda *_: None)
     with pytest.raises(FitFailed, match="does not separate viscous damping from dry friction"):
         fit_spin_down_run(run, known(campaign))
 
