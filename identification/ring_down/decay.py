@@ -248,7 +248,9 @@ def _solved(decay: DecayData, model: DecayModel, starts: Sequence[np.ndarray], p
         if best is None or found.minimum.cost < best.minimum.cost:
             best = found
     if best is None:
-        raise FitFailed("ring-down: no start value describes a decaying oscillation; does the record contain one?")
+        raise NotIdentifiable(
+            "ring-down: nothing rings: no start value describes a decaying oscillation; plot the record"
+        )
     if model.turned and not best.minimum.converged:
         best = _at_best_fixed_angle(model, best, best.minimum.theta, std)
     return FittedDecay(decay, model, best)
