@@ -6,14 +6,15 @@ are those of the rig files. Source: docs/theory/joint_estimate.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from identification.difference import difference
 from identification.errors import NotIdentifiable
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.physical_numbers import short
@@ -63,7 +64,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class ParameterComparison:
+class ParameterComparison(Tabular):
     """Comparison of two parameter sets.
 
     Attributes:
@@ -82,6 +83,20 @@ class ParameterComparison:
     only_old: list[str]
     only_new: list[str]
     notes: list[str]
+
+    @property
+    def heading(self) -> str:
+        """The comparison in one sentence."""
+        return self.in_words()
+
+    @property
+    def remarks(self) -> list[str]:
+        """The notes."""
+        return self.notes
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return the fields of the changes."""
+        return {each.name: [getattr(change, each.name) for change in self.changes] for each in fields(Change)}
 
     def significant(self, level: float = 0.01) -> list[Change]:
         """Changes whose p_holm is below a level, most significant first."""

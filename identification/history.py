@@ -6,7 +6,8 @@ in addition to the joint values, so that no fit is repeated. A log enters the hi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -15,6 +16,7 @@ from pathlib import Path
 from identification.compare import ParameterComparison, compare_parameters, holm
 from identification.errors import NotIdentifiable
 from identification.joint.provenance import KeptTest, kept_tests
+from rig_basics.tabular import Column, Tabular
 from rig_configs.errors import ParametersFileError
 from rig_configs.parameters_file import IdentifiedParameters
 
@@ -41,7 +43,7 @@ class Instant:
 
 
 @dataclass(frozen=True)
-class History:
+class History(Tabular):
     """A rig's parameters over time.
 
     Attributes:
@@ -54,6 +56,21 @@ class History:
     instants: list[Instant]
     steps: list[ParameterComparison | None]
     skipped: list[str]
+
+    @property
+    def remarks(self) -> list[str]:
+        """The files that are not in the table."""
+        return self.skipped
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return each file's time, and its values with their standard deviations; NaN for absent ones."""
+        each = [instant.parameters for instant in self.instants]
+        names = dict.fromkeys(name for parameters in each for name in parameters.values)
+        table: dict[str, Column] = {"time": [i.time for i in self.instants], "file": [i.path for i in self.instants]}
+        for name in names:
+            table[name] = [parameters.values.get(name, math.nan) for parameters in each]
+            table[f"{name}_std"] = [parameters.std.get(name, math.nan) for parameters in each]
+        return table
 
 
 def parameter_history(paths: Sequence[Path], rig: str | None = None) -> History:

@@ -43,6 +43,8 @@ from identification.rungs import Rung, held_back
 from identification.setting import Setting
 from identification.sources import Sources, joined, log_names
 from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 from rig_configs.drag import Reading
 from rig_configs.known import BOW, DRAG, KnownSource, assumed_remarks
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
@@ -67,7 +69,7 @@ class NamedFit:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Tabular):
     """Result of the identification from a set of runs.
 
     Attributes:
@@ -91,6 +93,20 @@ class Identification:
     warnings: list[str]
     witnesses: list[WitnessAgreement] = field(default_factory=list[WitnessAgreement])
     to_record: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Number of fitted tests, and what is identified."""
+        return f"{number_of(len(self.fits), 'test')}: {self.parameters.heading}"
+
+    @property
+    def remarks(self) -> list[str]:
+        """The warnings, and what to record."""
+        return [*self.warnings, *([self.to_record] if self.to_record else [])]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return the table of the parameters."""
+        return self.parameters.columns()
 
 
 @dataclass

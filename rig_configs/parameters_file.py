@@ -14,6 +14,7 @@ import tomlkit
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from rig_basics.whole_file import write_whole_text
 from rig_configs.drag import Drag
@@ -31,7 +32,7 @@ _ROUNDING = 1e-6  # relative error of a variance that is printed with few digits
 
 
 @dataclass(frozen=True)
-class IdentifiedParameters:
+class IdentifiedParameters(Tabular):
     """Identified values with their joint covariance.
 
     Attributes:
@@ -95,6 +96,21 @@ class IdentifiedParameters:
     def std(self) -> dict[str, float]:
         """Standard deviations by name."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def heading(self) -> str:
+        """What the table contains, with the axis angle."""
+        angle = "" if self.axis_angle_deg is None else ", axis angle {:.4g}° ± {:.2g}°".format(*self.axis_angle_deg)
+        return f"identified parameters{angle}"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return each value with its standard deviation and unit."""
+        return {
+            "name": list(self.values),
+            "value": list(self.values.values()),
+            "std": list(self.std.values()),
+            "unit": [PARAMETER_UNITS[name] for name in self.values],
+        }
 
     @property
     def correlation(self) -> Array:

@@ -18,6 +18,7 @@ from scipy.special import ndtr
 from daq.signals.threads import on_one_thread
 from identification.curve import FittedCurve
 from identification.errors import FitFailed, NotIdentifiable
+from identification.fit_result import FitResult
 from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, rounded_fit
@@ -38,7 +39,7 @@ _MAX_RESIDUAL_RATIO = 0.02  # ratio of residual to travel above which a model is
 
 
 @dataclass(frozen=True)
-class SpinDownFit:
+class SpinDownFit(FitResult):
     """Estimate of one pendulum's spin-down.
 
     Attributes:
@@ -66,11 +67,6 @@ class SpinDownFit:
     start_s: float
     end_s: float
     chi2_per_dof: float
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def curves(self) -> list[FittedCurve]:

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import chdtri
 
 from identification.curve import FittedCurve
+from identification.fit_result import FitResult
 from identification.least_squares import Minimum, minimise
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import DAMPING, Alone, OpenFriction, alone
@@ -53,7 +54,7 @@ _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 
 @dataclass(frozen=True)
-class TransientFit:
+class TransientFit(FitResult):
     """Estimate of a pendulum transient.
 
     Attributes:
@@ -93,11 +94,6 @@ class TransientFit:
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
     openings: tuple[Opening, ...] = ()
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name, without the error of the clock."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def slopes(self) -> dict[str, np.ndarray]:

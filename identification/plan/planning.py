@@ -18,6 +18,7 @@ from identification.plan.experiment import Experiment, together
 from identification.plan.offers import offers_for
 from identification.plan.requirements import Requirement
 from identification.plan.sensors import SensorProperties
+from rig_basics.tabular import Column, Tabular
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
@@ -68,7 +69,7 @@ class PlanAnswer:
 
 
 @dataclass(frozen=True)
-class ExperimentPlan:
+class ExperimentPlan(Tabular):
     """Experiments to record and their expected results.
 
     Attributes:
@@ -76,14 +77,35 @@ class ExperimentPlan:
         answers: one result per requirement.
         record_s: recording time of all steps, s.
         sensors: sensor properties that the plan is based on.
-        remarks: assumptions and omissions, as sentences.
+        assumptions: assumptions and omissions, as sentences.
     """
 
     steps: list[Step]
     answers: list[PlanAnswer]
     record_s: float
     sensors: SensorProperties
-    remarks: list[str] = field(default_factory=list[str])
+    assumptions: list[str] = field(default_factory=list[str])
+
+    @property
+    def remarks(self) -> list[str]:
+        """The assumptions."""
+        return self.assumptions
+
+    @property
+    def heading(self) -> str:
+        """The experiments and their time."""
+        steps = ", ".join(f"{step.runs} × {step.experiment.test}" for step in self.steps)
+        return f"{steps}: {self.record_s:.4g} s of recording"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return the wanted and the reached relative standard deviation of each parameter."""
+        return {
+            "parameter": [answer.want.name for answer in self.answers],
+            "wanted": [answer.wanted for answer in self.answers],
+            "reached": [answer.reached for answer in self.answers],
+            "possible": [answer.possible for answer in self.answers],
+            "limited_by": [answer.limited_by for answer in self.answers],
+        }
 
     @property
     def possible(self) -> bool:

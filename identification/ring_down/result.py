@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.curve import FittedCurve
 from identification.errors import FitFailed
+from identification.fit_result import FitResult
 from identification.laser_wander import wander_sentences
 from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence
@@ -41,7 +42,7 @@ _MIN_WHITE_P = 1e-4
 
 
 @dataclass(frozen=True)
-class RingDownFit:
+class RingDownFit(FitResult):
     """Fit of a ring-down.
 
     Attributes:
@@ -86,11 +87,6 @@ class RingDownFit:
     setting: Setting
     settled: bool = True
     terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name (statistical, without clock errors)."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
 @dataclass

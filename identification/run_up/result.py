@@ -12,6 +12,7 @@ from identification.clocks import clock_errors
 from identification.curve import FittedCurve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
+from identification.fit_result import FitResult
 from identification.mass_slopes import mass_slopes
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.setting import ModelChoice
@@ -23,7 +24,7 @@ _MAX_CHI2 = 10.8  # of the difference of both sensors' eccentricities: P(χ² > 
 
 
 @dataclass(frozen=True)
-class RunUpFit:
+class RunUpFit(FitResult):
     """Fit of a run-up or run-down.
 
     Attributes:
@@ -65,11 +66,6 @@ class RunUpFit:
     settled: bool = True
     terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
     with_terms: np.ndarray | None = None
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name (without the errors of gains and clock rates)."""
-        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
 def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std: tuple[float, float]) -> Estimate:

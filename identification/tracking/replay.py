@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -16,6 +16,7 @@ from identification.tracking.reference import FilterpyFilter
 from identification.tracking.tracker import STATE_NAMES, SensorNoise, Tracked, Tracker
 from identification.tracking.unscented import LN_C3, filter_readings
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 
 TrackingSetting = Literal["fast", "reference"]
 """fast: compiled filter; reference: filterpy's filter with the same motion, and its smoother."""
@@ -46,7 +47,7 @@ class SmoothedRun:
 
 
 @dataclass(frozen=True)
-class TrackedRun:
+class TrackedRun(Tabular):
     """Estimates of the tracker over a run, one row per batch of readings.
 
     Attributes:
@@ -71,6 +72,16 @@ class TrackedRun:
     trusted: NDArray[np.bool_]
     last: Tracked
     smoothed: SmoothedRun | None = None
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return the estimates at each instant, the smoothed ones if there are any."""
+        found = self.smoothed or self
+        table: dict[str, Column] = {"time_s": self.time_s, "speed_rad_s": self.speed_rad_s, "trusted": self.trusted}
+        for i, name in enumerate(("c3_Nms_per_rad", "c4_Nms_per_rad")):
+            table |= {name: found.values[:, i], f"{name}_std": found.std[:, i]}
+        for i, name in enumerate(STATE_NAMES):
+            table |= {name: found.states[:, i], f"{name}_std": found.state_std[:, i]}
+        return table
 
 
 def track(
