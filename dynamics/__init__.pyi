@@ -29,6 +29,7 @@ from .motions.batch import (
 from .motions.integrate import (
     Motion as Motion,
     locked_orbit as locked_orbit,
+    locked_state as locked_state,
     simulate as simulate,
 )
 from .motions.sensitivities import sensitivities as sensitivities
@@ -40,6 +41,7 @@ from .stability.borders import Borders as Borders
 from .stability.stability_map import (
     StabilityMap as StabilityMap,
     stability_map as stability_map,
+    stability_map_over as stability_map_over,
 )
 from .steady.basins.basin_map import (
     BasinMap as BasinMap,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.quantities.envelopes import Envelopes, fit_envelopes
 from rig_basics.arrays import Array, Complex, Indices
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
+from rig_basics.times import checked_times
 
 
 @dataclass(frozen=True)
-class OrderTrack:
+class OrderTrack(Tabular):
     """Order vectors over time; the signal is offset + Re Σ A_k e^{ikψ} about each row's time.
 
     A positive angle of A_k leads: the signal is largest where kψ = −arg A_k. The sign is that of the signal: a laser's
@@ -45,6 +47,15 @@ class OrderTrack:
     samples: NDArray[np.int64]
     speed_rad_s: Array
     independent: Array
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each time: amplitude, phase and deviation of each order."""
+        found: dict[str, Column] = {"time_s": self.time_s, "speed_rad_s": self.speed_rad_s}
+        for order in self.orders:
+            amplitude, std = self.of(order)
+            size, phase = np.abs(amplitude), np.angle(amplitude)
+            found |= {f"amplitude{order}_m": size, f"phase{order}_rad": phase, f"std{order}_m": std}
+        return found | {"offset_m": self.offset_m, "residual_m": self.residual_m, "samples": self.samples}
 
     def mean(self, order: int) -> tuple[complex, float]:
         """Return the mean amplitude of one order over the rows, and the standard deviation of its parts.
@@ -86,10 +97,12 @@ def order_track(
         revolutions: length of a window.
         harmonics: orders 0 … harmonics are fitted together, so that lost samples cause no leakage between them.
     Raises:
-        ValueError: shapes differ, an order is not positive, or there are less than four revolutions (one window).
+        ValueError: shapes differ, an order is not positive, times are dates or run backwards, or there are less than
+            four revolutions (one window).
     Source: docs/theory/order_tracking.md.
     """
-    time, x, psi = (np.asarray(a, np.float64) for a in (time_s, displacement_m, phase_rad))
+    time = checked_times(time_s, ValueError)
+    x, psi = (np.asarray(a, np.float64) for a in (displacement_m, phase_rad))
     if not time.shape == x.shape == psi.shape or time.ndim != 1:
         raise ValueError(f"time, displacement and phase must be alike, got {time.shape}, {x.shape}, {psi.shape}")
     if not orders or min(orders) < 1:

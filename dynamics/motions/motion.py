@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,11 @@ from dynamics.arrays import Array
 from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 from dynamics.motions.explicit_steps import evaluate
+from rig_basics.tabular import Column, Tabular
+from rig_basics.times import seconds
+
+COMPONENTS = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_m_per_s", "y_m_per_s", "theta3_rad_s", "theta4_rad_s")
+"""Names of the components of a state."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ class Polynomials:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(Tabular):
     """A computed motion.
 
     Attributes:
@@ -92,6 +98,15 @@ class Motion:
     polynomials: Polynomials | None = field(default=None, repr=False)
 
     @property
+    def heading(self) -> str:
+        """Method and error."""
+        return f"Motion: {self.method} steps, error at most {self.error_estimate:.2g}"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each instant."""
+        return {"time_s": self.time_s, **dict(zip(COMPONENTS, self.state.T, strict=True))}
+
+    @property
     def displacement_m(self) -> Array:
         """Disk centre x, y, m; shape (n, 2)."""
         return self.state[:, :2]
@@ -105,9 +120,9 @@ class Motion:
         """States at arbitrary instants within the motion, shape (n, 8).
 
         Raises:
-            OutsideDomain: the motion was computed without dense=True, or an instant is outside the motion.
+            OutsideDomain: the motion was computed without dense=True, or an instant is a date or outside the motion.
         """
-        kept, times = self._kept(), np.atleast_1d(np.asarray(time_s, float))
+        kept, times = self._kept(), np.atleast_1d(seconds(time_s, OutsideDomain))
         first, last = float(kept.spans[0, 0]), kept.end_s
         if np.any(times < first) or np.any(times > last):
             raise OutsideDomain(f"the motion covers {first:.6g} to {last:.6g} s, got {times.min()} to {times.max()}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -36,8 +36,17 @@ INVERSE = Coordinate(lambda value: 1.0 / value, lambda at: 1.0 / at)  # for a sp
 ROOT = Coordinate(np.sqrt, np.square)  # for a stiffness: the phase of its mode is proportional to the root
 
 
+RigOverPlane: TypeAlias = Callable[[float, float], tuple[RotorParameters, float]]
+"""Function from a pair of values to the rig and its speed in rad/s."""
+
+
 class Plane(Protocol):
     """Two parameters x and y of a rig, with all others fixed."""
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of x and y, with their units."""
+        ...
 
     @property
     def x(self) -> Coordinate:
@@ -86,6 +95,7 @@ class SpeedStiffnessPlane:
     angles: tuple[float, float]
     x: Coordinate = INVERSE
     y: Coordinate = ROOT
+    names: tuple[str, str] = ("speed_ratio", "stiffness_ratio")
 
     def rigs(self, x: Array, y: Array) -> MapRigs | None:
         """See Plane."""
@@ -120,12 +130,13 @@ class RigPlane:
 
     Attributes:
         at: rig and running speed, rad/s, at a pair of values.
-        x, y: see Plane.
+        x, y, names: see Plane.
     """
 
-    at: Callable[[float, float], tuple[RotorParameters, float]]
+    at: RigOverPlane
     x: Coordinate = SAME
     y: Coordinate = SAME
+    names: tuple[str, str] = ("x", "y")
 
     def rigs(self, x: Array, y: Array) -> MapRigs | None:
         """See Plane."""

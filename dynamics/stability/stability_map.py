@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,9 +16,11 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
-from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
+from dynamics.stability.map_plane import Plane, RigOverPlane, RigPlane, SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 from rig_basics.thread_pool import ThreadPool
 
 _MAX_POINTS = 20_000_000
@@ -27,7 +29,7 @@ _MIN_ACCURACY = 1e-12
 
 
 @dataclass(frozen=True)
-class StabilityMap:
+class StabilityMap(Tabular):
     """The largest multiplier of Type I over a grid of two parameters of a rig.
 
     Attributes:
@@ -62,6 +64,27 @@ class StabilityMap:
         return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
 
     @property
+    def heading(self) -> str:
+        """Number of points and the stable fraction of those with a balanced state."""
+        known = self.stable[~np.isnan(self.multiplier_max)]
+        share = f"{100 * known.mean():.3g} % stable" if known.size else "no balanced state"
+        return f"StabilityMap: {len(self.x)} × {number_of(len(self.y), 'point')}, {share}"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Whether points miss the accuracy."""
+        missed = number_of(self.missed, "point misses", "points miss")
+        return [f"{missed} the accuracy of {self.accuracy:g}"] if self.missed else []
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each point."""
+        x, y = np.meshgrid(self.x, self.y)
+        names = "multiplier_max", "error_estimate", "stable"
+        return dict(zip(self.plane.names, (x.ravel(), y.ravel()), strict=True)) | {
+            name: getattr(self, name).ravel() for name in names
+        }
+
+    @property
     def stable(self) -> Flags:
         """Whether the largest multiplier is inside the unit circle by more than its error, shape (m, n).
 
@@ -77,18 +100,19 @@ class StabilityMap:
         return -np.log(self.multiplier_max) * speeds / (2 * np.pi)
 
 
-def plane_map(
-    plane: Plane,
+def stability_map_over(
+    at: Plane | RigOverPlane,
     x: ArrayLike,
     y: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
 ) -> StabilityMap:
-    """Compute the largest modulus of the Type I multipliers over one revolution on a grid of a plane.
+    """Compute the largest modulus of the Type I multipliers over one revolution over any two numbers.
 
     Args:
-        x, y: values of the plane's parameters, shapes (n,) and (m,), finite.
+        at: function from a pair of values to (rig, speed in rad/s), or a plane.
+        x, y: values of both numbers, shapes (n,) and (m,), finite.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
         progress: called with the completed share of points, 0 … 1, from the calling thread.
         threads: number of threads. None: one per core. The results do not depend on it.
@@ -98,6 +122,7 @@ def plane_map(
         NotConverged: the multiplier of a point cannot be computed even with a low accuracy. The message contains the
             point.
     """
+    plane = RigPlane(at) if callable(at) else at
     x, y = (np.atleast_1d(real_array(name, values)) for name, values in (("x", x), ("y", y)))
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
@@ -171,7 +196,7 @@ def multipliers_on_grid(
 
     Args:
         x, y: values of the plane's parameters, shapes (n,) and (m,).
-        accuracy, progress, threads: see `plane_map`.
+        accuracy, progress, threads: see `stability_map_over`.
     Returns:
         Multipliers and their bounds, shape (m, n), NaN where the balanced state does not exist; numbers of points that
         were interpolated, computed explicitly in batches, and computed one by one.
