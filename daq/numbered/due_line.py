@@ -103,12 +103,12 @@ class DueLine:
         """Fit the line to the closed intervals."""
         if not self._least:
             return
-        sent = np.array([entry[1] for entry in self._least])
-        delay = np.array([entry[2] for entry in self._least])
-        self._level, self._slope, self._error = float(delay.min()), 0.0, RATE_ERROR
-        distance = float(delay.mean()) - self._level
-        if len(sent) < _FEWEST_INTERVALS or distance < 0.5 * self._tolerance_ns:
+        _, sent_ns, delay_ns = zip(*self._least, strict=True)  # few values, for which lists are faster than arrays
+        self._level, self._slope, self._error = min(delay_ns), 0.0, RATE_ERROR
+        distance = sum(delay_ns) / len(delay_ns) - self._level
+        if len(sent_ns) < _FEWEST_INTERVALS or distance < 0.5 * self._tolerance_ns:
             return
+        sent, delay = np.array(sent_ns), np.array(delay_ns)
         level, slope = lower_line(sent, delay)
         closer = float(np.mean(delay - level - slope * sent))
         if closer < _MUCH_CLOSER * distance:

@@ -19,6 +19,7 @@ import re
 import struct
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,12 +80,17 @@ class Decoded:
     """Result of one call of `FrameDecoder.feed`.
 
     Attributes:
-        rows: all records in order, a structured array with the fields length, identifier, data (n, 8), time_ns.
+        records: all records in order.
         damaged: number of places with bytes that are no records.
     """
 
-    rows: NDArray[Any]
+    records: bytes
     damaged: int
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        """The records as a structured array (n,) with the fields length, identifier, data (n, 8), time_ns."""
+        return np.frombuffer(self.records, _ROW)
 
     @property
     def is_of_bus(self) -> NDArray[np.bool_]:
@@ -94,17 +100,18 @@ class Decoded:
     @property
     def frames(self) -> list[CanFrame]:
         """Frames of the bus in order."""
-        return [each for each in self.messages() if isinstance(each, CanFrame)]
+        return [each for each in self.messages if isinstance(each, CanFrame)]
 
     @property
     def of_adapter(self) -> list[tuple[AdapterMessage, int]]:
         """Messages of the adapter and their numbers in order, without SocketCAN's error frames."""
-        return [each for each in self.messages() if not isinstance(each, CanFrame)]
+        return [each for each in self.messages if not isinstance(each, CanFrame)]
 
+    @cached_property
     def messages(self) -> list[CanFrame | tuple[AdapterMessage, int]]:
-        """Return `frames` and `of_adapter` in their common order."""
+        """`frames` and `of_adapter` in their common order."""
         out: list[CanFrame | tuple[AdapterMessage, int]] = []
-        for _, length, identifier, data, time_ns in _RECORD.iter_unpack(self.rows.tobytes()):
+        for _, length, identifier, data, time_ns in _RECORD.iter_unpack(self.records):
             number = identifier & OF_ADAPTER - 1
             if not identifier & OF_ADAPTER:
                 extended, remote = bool(identifier & EXTENDED), bool(identifier & REMOTE)
@@ -137,7 +144,7 @@ class FrameDecoder:
         if len(data) - end >= RECORD_BYTES:
             damaged += not self._skipping
             self._skipping = True
-        return Decoded(np.frombuffer(b"".join(whole), _ROW), damaged)
+        return Decoded(b"".join(whole), damaged)
 
 
 def decode(data: bytes) -> Decoded:

@@ -129,7 +129,7 @@ class HostText:
     def sent(self, data: bytes) -> bytes:
         """Return the text for records of the host."""
         out: list[bytes] = []
-        for message in self._records.feed(data).messages():
+        for message in self._records.feed(data).messages:
             if isinstance(message, CanFrame):
                 out.append(encode(message))
                 continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import groupby
 from typing import Any
 
 from typing_extensions import override
@@ -86,7 +87,7 @@ class DrivePipeline(MotorPipeline):
                 if any(emergency.maker_bytes):
                     facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
                 out.append(DeviceEvent("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
-        for *_, word in rows:
+        for word, _ in groupby(word for *_, word in rows):
             out += self.state_events(cia402.state(word), statusword=word)
         return out + self.samples(rows, host_ns)
 

@@ -137,7 +137,7 @@ class SpeedProfile:
         Raises:
             struct.error: there are fewer than `size` bytes.
         """
-        word, speed = self._form.unpack(data[: self.size])
+        word, speed = self._form.unpack_from(data)
         return word, speed / self.units_per_rpm
 
     def rpm(self, raw: int) -> float:

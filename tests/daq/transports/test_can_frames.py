@@ -56,7 +56,7 @@ def test_frames_do_not_depend_on_the_split(pieces: list[bytes], size: int) -> No
     data, whole, parts = b"".join(pieces), FrameDecoder(), FrameDecoder()
     expected = whole.feed(data)
     found = [parts.feed(data[at : at + size]) for at in range(0, len(data), size)]
-    assert [each for part in found for each in part.messages()] == expected.messages()
+    assert [each for part in found for each in part.messages] == expected.messages
 
 
 @given(st.lists(FRAMES, min_size=1, max_size=5), st.binary(min_size=1, max_size=200), st.data())
