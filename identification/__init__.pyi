@@ -35,6 +35,7 @@ from .pendulums.spin_down import (
     fit_spin_down as fit_spin_down,
 )
 from .pendulums.spin_down_run import fit_spin_down_run as fit_spin_down_run
+from .pendulums.suspension_knowledge import Knowledge as Knowledge
 from .pendulums.transient import TransientFit as TransientFit
 from .plan.experiment import Experiment as Experiment
 from .plan.planning import (

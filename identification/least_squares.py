@@ -86,11 +86,11 @@ def minimise(
 ) -> Minimum:
     """Minimise by Levenberg–Marquardt with a second-order correction of rejected steps.
 
-    The damping λ holds each step near its start like a prior of the standard deviation reach / √λ if the noise were as
-    large as the residuals. (Marquardt's scaling by the columns of the Jacobian holds strongly determined directions
-    instead. It stops in a narrow valley whose weak direction is curved, as that of an instant at which the force on a
-    pendulum changes its sign.) λ follows the ratio of the actual to the foreseen gain (Nielsen 1999). A rejected trial
-    yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
+    The damping λ holds each step near its start like a prior of the standard deviation reach / √λ. (Marquardt's scaling
+    by the columns of the Jacobian holds strongly determined directions instead. It stops in a narrow valley whose weak
+    direction is curved, as that of an instant at which the force on a pendulum changes its sign.) λ follows the ratio
+    of the actual to the foreseen gain (Nielsen 1999). A rejected trial yields the curvature,
+    r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
@@ -109,7 +109,7 @@ def minimise(
     costs, tried, damping, growth, used = [at.cost], [at.cost], _FIRST_DAMPING, 2.0, 1
     settled = at.left < _LEFT * at.unit
     while used < max_iterations and damping < _MAX_DAMPING and not settled:
-        held = _reach(at, reach) / np.sqrt(damping * at.unit)
+        held = _reach(at, reach) / np.sqrt(damping)
         step = _held_step(at, at.residual, held)
         moved = at.jacobian @ step
         trial = _linearised(evaluate, at.theta + step)

@@ -9,12 +9,13 @@ on the common clock. Gaps are kept: nothing is interpolated.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from daq.errors import LogError
 from daq.log import Log, open_log
@@ -38,6 +39,7 @@ from daq.signals.run_clocks import (
 from daq.signals.speed_agreement import SpeedAgreement, speed_agreement
 from daq.signals.witnesses import Witness, WitnessAgreement, agreement
 from rig_basics.arrays import Array
+from rig_basics.times import checked_times
 from rig_configs.roles import Roles
 
 __all__ = ["Release", "Run", "disagreements", "load_run"]
@@ -109,10 +111,50 @@ class Run:
     speed: SpeedAgreement | None = None
     rotor_doubts: tuple[RotorDoubt, ...] = ()
 
+    @classmethod
+    def of_arrays(
+        cls,
+        test: str,
+        *,
+        x: tuple[ArrayLike, ArrayLike] | None = None,
+        y: tuple[ArrayLike, ArrayLike] | None = None,
+        angles: tuple[ArrayLike, ArrayLike] | None = None,
+        marks: tuple[ArrayLike, ArrayLike] | None = None,
+        released_s: Sequence[float] = (),
+        angle_step_rad: float = 2 * np.pi / 4096,
+    ) -> Run:
+        """Create a run from arrays on one clock, for the fits of identification and the functions of analysis.
+
+        Args:
+            test: name in the table of test kinds; "point-NAME" for a release at a point.
+            x, y: times, s, and displacements of the disk's centre, m, shape (n,) each; None without.
+            angles: times, s, shape (k,), and angles of A and B relative to the rotor, rad, shape (k, 2).
+            marks: times, s, and the rotor's phase ψ, rad, unwrapped (ψ = 0: imbalance along +x), shape (m,) each.
+            released_s: instants at which A and B were released, s; empty without.
+            angle_step_rad: quantisation of the angles, rad.
+        Raises:
+            ValueError: times are dates or run backwards, or a signal has another shape.
+        """
+        x, y, marks = (_checked(name, pair, ()) for name, pair in (("x", x), ("y", y), ("marks", marks)))
+        releases = tuple(Release(pendulum, instant) for pendulum, instant in enumerate(released_s))
+        signals = (*x, *y, *_checked("angles", angles, (2,)), *marks)
+        one_clock = dict.fromkeys(("x", "y", "angles", "phase"), "arrays")
+        return cls(test, test, 0.0, *signals, releases=releases, angle_step_rad=angle_step_rad, clocks=one_clock)
+
     def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
         measured = {"x": (self.x_time_s, self.x_m), "y": (self.y_time_s, self.y_m)}
         return [agreement(witness, *measured[witness.axis]) for witness in self.witnesses if witness.reference]
+
+
+def _checked(name: str, pair: tuple[ArrayLike, ArrayLike] | None, each: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return times (n,) and values (n, *each) of a signal; empty ones for None."""
+    if pair is None:
+        return np.empty(0), np.empty((0, *each))
+    time, values = checked_times(pair[0], ValueError), np.asarray(pair[1], np.float64)
+    if values.shape != (len(time), *each):
+        raise ValueError(f"{name}: expected values of shape {(len(time), *each)} for the times, got {values.shape}")
+    return time, values
 
 
 def disagreements(run: Run) -> list[str]:

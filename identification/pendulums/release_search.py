@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 GOOD = 1.5
 """Largest misfit (χ²/dof over that of noise) of an accepted fit."""
 _HELD_STD = 0.4  # prior standard deviation of a held ln c
-_EARLY, _LATE = 10, 60  # iterations: of a horizon, and of the last one
+_EARLY, _LATE = 15, 60  # iterations: of a horizon, and of the last one
 _SAME_LOG_C, _SAME_COST_RATIO = 0.05, 1.1  # largest differences between fits that end at the same place
 _DISTANT_LOG_C = 0.7  # smallest difference between distant starts
 _SAME_ENDS = 3  # number of equal ends after which the model counts as wrong
