@@ -50,4 +50,4 @@ def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxi
         assert speed is not None
         return changed, speed
 
-    return RigPlane(at, x.coordinate, y.coordinate)
+    return RigPlane(at, x.coordinate, y.coordinate, (x.key, y.key))

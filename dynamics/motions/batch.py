@@ -7,7 +7,7 @@ Compiled code releases the interpreter lock, so threads use every core. Each run
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +18,15 @@ from dynamics.equations.parameters import RigOrParameters
 from dynamics.equations.scene import Scene
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
+from dynamics.motions.motion import COMPONENTS
 from dynamics.motions.motion_problem import instants
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from rig_basics.thread_pool import ThreadPool
 
 
 @dataclass(frozen=True)
-class BatchMotion:
+class BatchMotion(Tabular):
     """Motions of many runs at the same instants.
 
     Attributes:
@@ -43,6 +45,23 @@ class BatchMotion:
     def ok(self) -> Flags:
         """Which runs succeeded, shape (runs,)."""
         return np.array([f is None for f in self.failures], dtype=bool)
+
+    @property
+    def heading(self) -> str:
+        """Number of runs."""
+        return f"BatchMotion: {number_of(len(self.failures), 'run')}, {np.count_nonzero(self.ok)} succeeded"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """The error messages."""
+        return [f"run {run}: {failure}" for run, failure in enumerate(self.failures) if failure is not None]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each instant of each run."""
+        runs, kept = len(self.failures), self.states.shape[1]
+        times = np.tile(self.time_s[len(self.time_s) - kept :], runs)
+        states = self.states.reshape(-1, len(COMPONENTS)).T
+        return {"run": np.repeat(np.arange(runs), kept), "time_s": times, **dict(zip(COMPONENTS, states, strict=True))}
 
 
 def simulate_batch(

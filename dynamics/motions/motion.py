@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +11,10 @@ from dynamics.arrays import Array
 from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 from dynamics.motions.explicit_steps import evaluate
+from rig_basics.tabular import Column, Tabular
+
+COMPONENTS = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_m_per_s", "y_m_per_s", "theta3_rad_s", "theta4_rad_s")
+"""Names of the components of a state."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class Polynomials:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(Tabular):
     """A computed motion.
 
     Attributes:
@@ -90,6 +95,15 @@ class Motion:
     work_steps: int = 0
     events: tuple[MotionEvent, ...] = ()
     polynomials: Polynomials | None = field(default=None, repr=False)
+
+    @property
+    def heading(self) -> str:
+        """Method and error."""
+        return f"Motion: method {self.method}, error at most {self.error_estimate:.2g}"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each instant."""
+        return {"time_s": self.time_s, **dict(zip(COMPONENTS, self.state.T, strict=True))}
 
     @property
     def displacement_m(self) -> Array:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.friction_steps import fixed_states
 from dynamics.motions.integrate import simulate
+from rig_basics.tabular import Column, Tabular
 from rig_basics.thread_pool import ThreadPool
 
 _log = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ _STEP_S = 125e-6
 
 
 @dataclass(frozen=True)
-class StartUpEnds:
+class StartUpEnds(Tabular):
     """End states of start-ups from rest.
 
     Attributes:
@@ -54,6 +55,12 @@ class StartUpEnds:
     amplitude_m: Array
     drift_rad: Array
     followed: Flags
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each start-up."""
+        names = "start3_rad", "start4_rad", "theta3_rad", "theta4_rad", "amplitude_x_m", "amplitude_y_m"
+        found = np.concatenate([self.start_rad, self.theta_rad, self.amplitude_m], axis=1).T
+        return dict(zip(names, found, strict=True)) | {"drift_rad": self.drift_rad, "followed": self.followed}
 
 
 def start_ups_from_rest(

@@ -8,7 +8,7 @@ The result is a curve through the followed points that is exact between them too
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -23,6 +23,8 @@ from dynamics.stability.border_following import follow
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 from rig_basics.thread_pool import ThreadPool
 
 _FIRST = (192, 144)  # numbers of cells of the first grid
@@ -89,7 +91,7 @@ class Border:
 
 
 @dataclass(frozen=True)
-class Borders:
+class Borders(Tabular):
     """All branches in a range.
 
     Attributes:
@@ -109,6 +111,21 @@ class Borders:
     complete_to: tuple[float, float]
     computed: int
     bare: tuple[tuple[Span, Span], ...]
+
+    @property
+    def heading(self) -> str:
+        """Number of branches and the stable fraction."""
+        return f"Borders: {number_of(len(self.branches), 'branch', 'branches')}, {100 * self.stable_share:.3g} % stable"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each point of each branch."""
+        every = list(enumerate(self.branches))
+        return {
+            "branch": [number for number, b in every for _ in b.x],
+            "x": [x for _, b in every for x in b.x],
+            "y": [y for _, b in every for y in b.y],
+            "kind": [kind for _, b in every for kind in b.kind],
+        }
 
 
 def stability_borders(

@@ -40,6 +40,11 @@ class Plane(Protocol):
     """Two parameters x and y of a rig, with all others fixed."""
 
     @property
+    def names(self) -> tuple[str, str]:
+        """Names of x and y, with their units."""
+        ...
+
+    @property
     def x(self) -> Coordinate:
         """Coordinate of x."""
         ...
@@ -86,6 +91,7 @@ class SpeedStiffnessPlane:
     angles: tuple[float, float]
     x: Coordinate = INVERSE
     y: Coordinate = ROOT
+    names: tuple[str, str] = ("speed_ratio", "stiffness_ratio")
 
     def rigs(self, x: Array, y: Array) -> MapRigs | None:
         """See Plane."""
@@ -120,12 +126,13 @@ class RigPlane:
 
     Attributes:
         at: rig and running speed, rad/s, at a pair of values.
-        x, y: see Plane.
+        x, y, names: see Plane.
     """
 
     at: Callable[[float, float], tuple[RotorParameters, float]]
     x: Coordinate = SAME
     y: Coordinate = SAME
+    names: tuple[str, str] = ("x", "y")
 
     def rigs(self, x: Array, y: Array) -> MapRigs | None:
         """See Plane."""

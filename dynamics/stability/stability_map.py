@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,6 +19,8 @@ from dynamics.stability.floquet.lanes import LANES
 from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 from rig_basics.thread_pool import ThreadPool
 
 _MAX_POINTS = 20_000_000
@@ -27,7 +29,7 @@ _MIN_ACCURACY = 1e-12
 
 
 @dataclass(frozen=True)
-class StabilityMap:
+class StabilityMap(Tabular):
     """The largest multiplier of Type I over a grid of two parameters of a rig.
 
     Attributes:
@@ -60,6 +62,27 @@ class StabilityMap:
     def missed(self) -> int:
         """Number of points whose bound exceeds the requested accuracy."""
         return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
+
+    @property
+    def heading(self) -> str:
+        """Number of points and the stable fraction of those with a balanced state."""
+        known = self.stable[~np.isnan(self.multiplier_max)]
+        share = f"{100 * known.mean():.3g} % stable" if known.size else "no balanced state"
+        return f"StabilityMap: {len(self.x)} × {number_of(len(self.y), 'point')}, {share}"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Whether points miss the accuracy."""
+        missed = number_of(self.missed, "point misses", "points miss")
+        return [f"{missed} the accuracy of {self.accuracy:g}"] if self.missed else []
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each point."""
+        x, y = np.meshgrid(self.x, self.y)
+        names = "multiplier_max", "error_estimate", "stable"
+        return dict(zip(self.plane.names, (x.ravel(), y.ravel()), strict=True)) | {
+            name: getattr(self, name).ravel() for name in names
+        }
 
     @property
     def stable(self) -> Flags:

@@ -8,7 +8,7 @@ cause may be a multiplier that crosses 1, or a motion that ceases to exist, so i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, cast
 
@@ -22,6 +22,7 @@ from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.integrate import locked_orbit
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+from rig_basics.tabular import Column, Tabular
 
 RigAt: TypeAlias = Callable[[float], tuple[RotorParameters, float]]
 """Function from a value to the rig and its speed in rad/s."""
@@ -33,6 +34,7 @@ _SPAN_SHARE = 1e-9  # smallest width relative to the whole range, for break poin
 _CLOSER = (0.004, 0.02, 0.08, 0.25)  # distances of additional values, relative to the distance of the given values
 _CLOSE = 5.0
 _MAX_BREAKS = 20  # between two values
+_COLUMNS = {"value": "values", "stable": "stable", "multiplier_max": "multiplier_max", "amplitude_m": "amplitude_m"}
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class BreakPoint:
 
 
 @dataclass(frozen=True)
-class SteadyBranches:
+class SteadyBranches(Tabular):
     """Steady states along one parameter.
 
     Attributes:
@@ -89,6 +91,28 @@ class SteadyBranches:
     break_points: tuple[BreakPoint, ...]
     locked_amplitude_m: Array
     unresolved: tuple[tuple[float, str], ...]
+
+    @property
+    def heading(self) -> str:
+        """The break points."""
+        breaks = (f"{_words(b.before)} → {_words(b.after)} at {b.value:.6g}" for b in self.break_points)
+        return f"SteadyBranches: {'; '.join(breaks) or 'no break points'}"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """The states that could not be evaluated."""
+        return [f"at {value:.6g}: {state}" for value, state in self.unresolved]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each state of each branch."""
+        rows = [(number, b, i) for number, b in enumerate(self.branches) for i in range(len(b.values))]
+        return {
+            "branch": [number for number, _, _ in rows],
+            "type": [b.type for _, b, _ in rows],
+            **{name: [getattr(b, of)[i] for _, b, i in rows] for name, of in _COLUMNS.items()},
+            "theta3_rad": [b.theta_rad[i, 0] for _, b, i in rows],
+            "theta4_rad": [b.theta_rad[i, 1] for _, b, i in rows],
+        }
 
     def stable_branches(self) -> list[Branch]:
         """The stable parts of all branches, without gaps."""
@@ -257,6 +281,10 @@ def _part(b: Branch, at: NDArray[np.int_]) -> Branch:
     theta = b.theta_rad[at]
     theta = theta - 2 * np.pi * np.floor(theta[0] / (2 * np.pi))
     return Branch(b.type, b.values[at], theta, b.amplitude_m[at], b.multiplier_max[at], b.stable[at])
+
+
+def _words(types: Sequence[str]) -> str:
+    return "+".join(types) or "nothing stable"
 
 
 def _apart(one: SteadyState, other: SteadyState) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from dynamics.motions.locked_motion import damping_rates
 from dynamics.steady.slipping import SlippingMotion, slipping_motion
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 
 _log = logging.getLogger(__name__)
@@ -51,7 +52,7 @@ PLAY_RAD = math.radians(0.2)
 
 
 @dataclass(frozen=True)
-class ReleaseOutcome:
+class ReleaseOutcome(Tabular):
     """End of a release.
 
     Attributes:
@@ -81,6 +82,22 @@ class ReleaseOutcome:
     from_rad: tuple[float, float] = (0.0, math.pi)
     same_end: bool = True
     same_time: bool = True
+
+    @property
+    def heading(self) -> str:
+        """State and duration."""
+        return f"ReleaseOutcome: {self.state} after {self.after_s:.4g} s"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What limits the result."""
+        doubt = [] if self.same_end else ["a more accurate run ended in another state: the end is not determined"]
+        return [*([self.seen] if self.seen else []), *doubt]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each pendulum."""
+        pairs = {"from_rad": self.from_rad, "theta_rad": self.theta_rad, "slip_turns": self.slip_turns}
+        return {"pendulum": ["A", "B"], **pairs}
 
 
 def release_outcome(

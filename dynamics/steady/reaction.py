@@ -7,6 +7,7 @@ of the changed rig. Source: docs/theory/steady_states.md, "Reaction to a sudden 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from dynamics.errors import OutsideDomain
 from dynamics.motions.integrate import simulate
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+from rig_basics.tabular import Column, Tabular
 
 _SAMPLES_PER_REVOLUTION = 32
 _CONSTANTS = 14.0  # simulated time in time constants of the slowest motion
@@ -28,7 +30,7 @@ _NEAR_RAD = 1e-2
 
 
 @dataclass(frozen=True)
-class Reaction:
+class Reaction(Tabular):
     """A motion after a sudden change.
 
     Attributes:
@@ -52,6 +54,17 @@ class Reaction:
     peak_m: float
     reaction_s: float
     time_constant_s: float
+
+    @property
+    def heading(self) -> str:
+        """States before and after, and what happened between them."""
+        after = f"{self.after.type}, reached in {self.reaction_s:.4g} s" if self.after else "no stable state"
+        return f"Reaction: {self.before.type} → {after}; amplitude at most {self.peak_m:.4g} m"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each revolution."""
+        angles = dict(zip(("theta3_rad", "theta4_rad"), self.theta_rad.T, strict=True))
+        return {"time_s": self.time_s, "amplitude_m": self.amplitude_m, **angles}
 
 
 def reaction(

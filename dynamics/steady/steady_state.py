@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dynamics.arrays import Array, Complex
 from dynamics.equations.model import ChosenModel
+from rig_basics.tabular import Column, Tabular
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class SteadyState:
         return self.stable or (self.any_angle and float(np.abs(self.multipliers[1])) + self.error_estimate < 1.0)
 
 
-class SteadyStates(list[SteadyState]):
+class SteadyStates(Tabular, list[SteadyState]):
     """Steady motions found at one speed, stable ones first.
 
     Attributes:
@@ -84,3 +85,19 @@ class SteadyStates(list[SteadyState]):
     def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:
         super().__init__(sorted(states, key=lambda s: (not s.stable, s.type)))
         self.unresolved: tuple[str, ...] = tuple(unresolved)
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """The incomplete results."""
+        return self.unresolved
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each state."""
+        return {
+            "type": [s.type for s in self],
+            "theta3_rad": [s.theta_rad[0] for s in self],
+            "theta4_rad": [s.theta_rad[1] for s in self],
+            "amplitude_m": [s.amplitude_m for s in self],
+            "multiplier_max": [s.multiplier_max for s in self],
+            "stability": [s.stability for s in self],
+        }

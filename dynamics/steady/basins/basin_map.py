@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slippin
 from dynamics.steady.basins.following import STATED_ERROR_RAD, FollowedReleases, follow
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
 from dynamics.steady.basins.turning import RevolutionMap
+from rig_basics.tabular import Column, Tabular
 
 _FIRST = 12  # number of releases simulated before all others, to find slipping orbits
 _SCOUTS = 6  # number of releases simulated longer, to find their slipping orbits
@@ -25,7 +26,7 @@ _SAME_RATE = 1e-5  # turns per revolution: difference of rates below which two o
 
 
 @dataclass(frozen=True)
-class BasinMap:
+class BasinMap(Tabular):
     """End states of the releases of a grid.
 
     Attributes:
@@ -61,6 +62,25 @@ class BasinMap:
         """Fraction of the grid for each end, and last the fraction without an end, shape (ends + 1,)."""
         wanted = [*range(len(self.ends)), -1]
         return np.array([np.count_nonzero(self.end == i) / self.end.size for i in wanted])
+
+    @property
+    def heading(self) -> str:
+        """Share of each end."""
+        shares = zip([*(end.words for end in self.ends), "not settled"], self.shares, strict=True)
+        return "BasinMap: " + "; ".join(f"{100 * share:.3g} % {words}" for words, share in shares if share)
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each release."""
+        theta3, theta4 = np.meshgrid(self.theta3_rad, self.theta4_rad)
+        return {
+            "theta3_rad": theta3.ravel(),
+            "theta4_rad": theta4.ravel(),
+            "end": self.end.ravel(),
+            "name": np.array([*(end.name for end in self.ends), "not settled"])[self.end.ravel()],
+            **{name: getattr(self, name).ravel() for name in ("sure", "settled_s", "amplitude_m")},
+            "turns3": self.turns[..., 0].ravel(),
+            "turns4": self.turns[..., 1].ravel(),
+        }
 
 
 def basins(
