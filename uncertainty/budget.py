@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.tabular import Column, Tabular
 from uncertainty.coverage import Interval, coverage_factor
 from uncertainty.errors import BadInput
 from uncertainty.group import Group, Input, correlation_of
@@ -90,7 +91,7 @@ AnyContribution = Contribution | GroupContribution
 
 
 @dataclass(frozen=True)
-class Budget:
+class Budget(Tabular):
     """Uncertainty budget of one quantity by the law of propagation of uncertainty (JCGM 100, 5.1.2 and 5.2.2).
 
     Attributes:
@@ -169,10 +170,32 @@ class Budget:
         reach = self.expanded(level)
         return self.value - reach, self.value + reach
 
+    @property
+    def ranked(self) -> tuple[AnyContribution, ...]:
+        """The contributions, largest first."""
+        return tuple(sorted(self.contributions, key=lambda c: -c.std))
+
+    @property
+    def heading(self) -> str:
+        """Value, expanded uncertainty and coverage factor."""
+        reach = f"{self.expanded():.3g} {self.unit}".rstrip()
+        return f"Budget: {self.name} = {self.value:.6g} ± {reach} (95 %, k = {self.coverage_factor():.3g})"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each source or group, largest first; a group has no sensitivity of its own."""
+        ranked, shares = self.ranked, self.shares
+        return {
+            "source": [c.name for c in ranked],
+            "type": [c.source.kind for c in ranked],
+            "contribution": [c.std for c in ranked],
+            "share": [shares[c.name] for c in ranked],
+            "sensitivity": [c.sensitivity if isinstance(c, Contribution) else math.nan for c in ranked],
+            "degrees_of_freedom": [c.degrees_of_freedom for c in ranked],
+        }
+
     def to_json(self) -> dict[str, object]:
         """Return plain finite values at 95 %, largest contribution first; None for infinite degrees of freedom."""
         shares = self.shares
-        ranked = sorted(self.contributions, key=lambda c: -c.std)
         return {
             "name": self.name,
             "value": float(self.value),
@@ -182,7 +205,7 @@ class Budget:
             "k": self.coverage_factor(),
             "U95": self.expanded(),
             "interval95": list(self.interval()),
-            "budget": [_row(c, shares[c.name]) for c in ranked],
+            "budget": [_row(c, shares[c.name]) for c in self.ranked],
         }
 
 

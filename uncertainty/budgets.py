@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from uncertainty.budget import AnyContribution, Budget, Contribution, GroupContribution, check_names
 from uncertainty.errors import BadInput
@@ -16,7 +17,7 @@ from uncertainty.source import ErrorSource
 
 
 @dataclass(frozen=True, eq=False)
-class Budgets:
+class Budgets(Tabular):
     """Budgets of several quantities by the law of propagation of uncertainty (JCGM 102, 6.2).
 
     The columns are the sources in their order. A group of n correlated sources occupies n columns.
@@ -115,6 +116,20 @@ class Budgets:
     def budgets(self) -> tuple[Budget, ...]:
         """Budgets in the order of the quantities."""
         return tuple(self[name] for name in self.names)
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity: value, standard uncertainty and 95 % interval."""
+        each = self.budgets
+        low, high = zip(*(b.interval() for b in each), strict=True)
+        return {
+            "name": self.names,
+            "value": self.values,
+            "std": [b.std for b in each],
+            "low_95": low,
+            "high_95": high,
+            "unit": self.units,
+            "degrees_of_freedom": [b.degrees_of_freedom for b in each],
+        }
 
     @property
     def covariance(self) -> NDArray[np.float64]:

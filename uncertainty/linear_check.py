@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from rig_basics.tabular import Column, Tabular
 from uncertainty.budget import Budget, finite
 from uncertainty.coverage import Interval, IntervalKind, numerical_tolerance
 from uncertainty.errors import BadInput
@@ -14,7 +16,7 @@ Verdict = Literal["agree", "differ", "undecided"]
 
 
 @dataclass(frozen=True)
-class LinearCheck:
+class LinearCheck(Tabular):
     """Difference between the linear interval and that of the Monte Carlo calculation, in the quantity's unit.
 
     Attributes:
@@ -36,6 +38,17 @@ class LinearCheck:
     sampled: Interval
     level: float
     verdict: Verdict
+
+    @property
+    def heading(self) -> str:
+        """Verdict and what it depends on."""
+        numbers = f"tolerance {self.tolerance:.3g}, numerical error {self.numerical_error:.3g}"
+        return f"LinearCheck: {self.verdict} ({numbers}, {100 * self.level:g} %)"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each end of the interval."""
+        apart = self.low, self.high
+        return {"end": ["low", "high"], "linear": self.linear, "sampled": self.sampled, "difference": apart}
 
     def to_json(self) -> dict[str, object]:
         """Return plain finite values."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from uncertainty.budget import finite
 from uncertainty.coverage import Interval, end_errors, shortest_interval, symmetric_interval
@@ -53,7 +54,7 @@ class Spread:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarlo:
+class MonteCarlo(Tabular):
     """Joint distribution of the quantities.
 
     Attributes:
@@ -87,6 +88,29 @@ class MonteCarlo:
             if spread.name == name:
                 return spread
         raise KeyError(f"no quantity {name!r}; there are {', '.join(q.name for q in self.quantities)}")
+
+    @property
+    def heading(self) -> str:
+        """Number of trials and level."""
+        return f"MonteCarlo: {number_of(self.trials, 'trial')}, intervals of {100 * self.level:g} %"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Whether more trials are needed."""
+        unstable = f"the trials are too few for {number_of(self.digits, 'stable digit')} of the standard deviations"
+        return [] if self.stabilised else [unstable]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity."""
+        each = self.quantities
+        ends = (("low", 0), ("high", 1))
+        return {
+            "name": [q.name for q in each],
+            "mean": [q.mean for q in each],
+            "std": [q.std for q in each],
+            **{f"symmetric_{end}": [q.symmetric[i] for q in each] for end, i in ends},
+            **{f"shortest_{end}": [q.shortest[i] for q in each] for end, i in ends},
+        }
 
     @property
     def correlation(self) -> NDArray[np.float64]:
