@@ -19,6 +19,7 @@ import numpy as np
 from analysis.dry_friction import LeftOpen
 from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_configs import Rig
 from rig_configs.error_label import ErrorLabel
 from rig_configs.known import KnownNumbers
@@ -51,7 +52,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedBudgets:
+class PredictedBudgets(Tabular):
     """Budgets of the predicted quantities of some points, with the inputs of a Monte Carlo calculation of them.
 
     Attributes:
@@ -78,9 +79,13 @@ class PredictedBudgets:
     slow_roll_sensitivities: Array
     term_sensitivities: Array
 
+    def columns(self) -> Mapping[str, Column]:
+        """Return the table of the budgets."""
+        return self.budgets.columns()
+
     @cached_property
-    def columns(self) -> dict[str, int]:
-        """First column of each source."""
+    def first_columns(self) -> dict[str, int]:
+        """First column of each source in the budgets' sensitivities."""
         return columns_of(self.budgets.sources)
 
     def exact_shifts(self, by_number: Mapping[str, Array]) -> dict[str, Array]:

@@ -75,8 +75,8 @@ class NonlinearModel:
                 f"Monte Carlo: a draw has impossible parameters: {fault}; use the linear budget alone"
             ) from fault
         beta = self.of.axis_angle_rad
-        if AXIS_ANGLE.text in self.of.columns:
-            beta += float(error[self.of.columns[AXIS_ANGLE.text]])
+        if AXIS_ANGLE.text in self.of.first_columns:
+            beta += float(error[self.of.first_columns[AXIS_ANGLE.text]])
         physics, run_out = self._bent(physics, error)
         seen = {point: self._at(point, physics, (beta, run_out), error) for point in self.of.predictions}
         return np.array([q.scale * seen[q.point][q.index] for q in self.of.quantities])
@@ -88,8 +88,8 @@ class NonlinearModel:
         physics = self.physics
         moved: dict[str, float] = {}
         for source in self.of.known.sources:
-            if source.label.text in self.of.columns:
-                share = float(error[self.of.columns[source.label.text]]) / source.std
+            if source.label.text in self.of.first_columns:
+                share = float(error[self.of.first_columns[source.label.text]]) / source.std
                 for number, step in source.effects.items():
                     moved[number] = moved.get(number, 0.0) + share * step
         for number, change in moved.items():
@@ -112,7 +112,7 @@ class NonlinearModel:
 
     def _friction(self, point: str, error: Array) -> Array:
         """Return the change of the values at a point by dry friction, shape (5,)."""
-        friction, at = self.of.predictions[point].friction, self.of.columns.get(friction_label(point), 0)
+        friction, at = self.of.predictions[point].friction, self.of.first_columns.get(friction_label(point), 0)
         return friction.shift + friction.slopes @ error[at : at + friction.slopes.shape[1]]
 
     def _at(self, point: str, physics: RotorParameters, sensors: Sensors, error: Array) -> Array:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, BalancingMargins, balancing_margins
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_configs import IdentifiedParameters, Rig
 
 
 @dataclass(frozen=True)
-class MomentMargins:
+class MomentMargins(Tabular):
     """A rig in its balancing region, with standard uncertainties.
 
     Attributes:
@@ -28,6 +30,20 @@ class MomentMargins:
     margins: BalancingMargins
     grow_std_kg_m: float
     shrink_std_kg_m: float
+
+    @property
+    def heading(self) -> str:
+        """Region of the pendulum set."""
+        return f"MomentMargins: {self.margins.region}"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return the moments and the distances of S_P to its borders; NaN without a border."""
+        distances = self.margins.may_grow_kg_m, self.margins.may_shrink_kg_m
+        return {
+            "quantity": ["S_A", "S_B", "S_P", "S_P may grow by", "S_P may shrink by"],
+            "value_kg_m": [*self.moments_kg_m, *(math.nan if far is None else far for far in distances)],
+            "std_kg_m": [*self.std_kg_m, self.grow_std_kg_m, self.shrink_std_kg_m],
+        }
 
 
 def moment_margins(rig: Rig, known: IdentifiedParameters) -> MomentMargins:

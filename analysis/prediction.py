@@ -25,6 +25,7 @@ from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
 from dynamics.steady.held_band import HeldBand
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_basics.units import TO_RPM
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
@@ -40,12 +41,13 @@ BOW = ("bow_x_m", "bow_y_m")
 _BOW_STEP_M = 1e-7
 _AT_REST_M = 1e-9  # orbit size below which the disk is at rest
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
+QUANTITIES_SI = ("theta3_rad", "theta4_rad", "amplitude_x_m", "amplitude_y_m", "amplitude_m")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(Tabular):
     """One stable steady state as the sensors measure it.
 
     Attributes:
@@ -82,6 +84,15 @@ class Prediction:
     by_run_out_and_bow: Array
     friction: LeftOpen = field(default_factory=LeftOpen)
     by_term: Mapping[str, Array] = field(default_factory=dict[str, Array])
+
+    @property
+    def heading(self) -> str:
+        """State and speed."""
+        return f"Prediction: state {self.state.type} at {self.speed_rad_s * TO_RPM:.2f} rpm"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity."""
+        return {"quantity": QUANTITIES_SI, "value": self.values, "std": self.std}
 
     @property
     def held(self) -> HeldBand | None:

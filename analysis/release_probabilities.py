@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -15,6 +15,7 @@ from dynamics import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.single import ReleaseEnds, release_ends
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 from rig_configs import IdentifiedParameters
 
@@ -43,7 +44,7 @@ class EndProbability:
 
 
 @dataclass(frozen=True)
-class EndProbabilities:
+class EndProbabilities(Tabular):
     """End states by probability, most probable first.
 
     Attributes:
@@ -59,6 +60,17 @@ class EndProbabilities:
     level: float
     unsure: int
     releases: ReleaseEnds
+
+    @property
+    def heading(self) -> str:
+        """Number of draws, and of those at a boundary."""
+        return f"EndProbabilities: {number_of(self.draws, 'draw')}, {self.unsure} at a boundary"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each end state."""
+        names = "name", "mirror", "count", "probability"
+        low, high = zip(*(end.interval for end in self.ends), strict=True)
+        return {name: [getattr(end, name) for end in self.ends] for name in names} | {"low": low, "high": high}
 
 
 def wilson_interval(count: int, draws: int, level: float = 0.95) -> tuple[float, float]:

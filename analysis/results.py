@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from analysis.prediction import QUANTITIES, Prediction
 from analysis.scores import DISPLAYED, Score, finite, measured_intervals
 from analysis.steady_state import SteadyMeasurement
+from rig_basics.tabular import Column, Tabular
 from rig_basics.units import TO_RPM
 
 
 @dataclass(frozen=True)
-class PointResult:
+class PointResult(Tabular):
     """Comparison of one point.
 
     Attributes:
@@ -37,6 +39,28 @@ class PointResult:
     why: str
     source: str
     because: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Verdict with its reason."""
+        return f"PointResult {self.name}: {self.verdict}; {self.why}"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Remarks on the signals."""
+        return () if self.measurement is None else self.measurement.remarks
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity, in the displayed units; unknown values are NaN."""
+        found: dict[str, list[object]] = {"quantity": [each.key for each in DISPLAYED.values()]}
+        for side, (values, _) in (
+            ("measured", _measured_json(self.measurement)),
+            ("predicted", _predicted_json(self.prediction)),
+        ):
+            found[side] = [math.nan if (value := values[each.key]) is None else value for each in DISPLAYED.values()]
+        for column, of in (("difference", "error"), ("uncertainty", "u_validation")):
+            found[column] = [getattr(self.scores.get(n), of, math.nan) * each.factor for n, each in DISPLAYED.items()]
+        return found | {"z": [self.z_scores.get(name, math.nan) for name in DISPLAYED]}
 
     @property
     def z_scores(self) -> dict[str, float]:

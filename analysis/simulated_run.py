@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from dynamics import Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 
 _log = logging.getLogger(__name__)
 
@@ -25,7 +27,7 @@ _LOCKED_S = 2.0  # interval before a release
 
 
 @dataclass(frozen=True)
-class SimulatedRun:
+class SimulatedRun(Tabular):
     """Motion of the model in sensor axes with run-out.
 
     Attributes:
@@ -41,6 +43,12 @@ class SimulatedRun:
     x_m: Array
     y_m: Array
     angle_rad: Array
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each instant."""
+        angles = dict(zip(("theta3_rad", "theta4_rad"), self.angle_rad.T, strict=True))
+        names = "time_s", "phase_rad", "speed_rad_s", "x_m", "y_m"
+        return {name: getattr(self, name) for name in names} | angles
 
 
 def speed_history(run: Run) -> SpeedHistory | None:

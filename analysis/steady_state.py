@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
+from analysis.prediction import QUANTITIES_SI
 from analysis.quantities.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.phase_noise import phase_remarks
@@ -18,6 +20,7 @@ from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
 from rig_basics.arrays import Array, Complex
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import distinct, number_of
 from rig_configs import Rig
 
@@ -42,7 +45,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class SteadyMeasurement:
+class SteadyMeasurement(Tabular):
     """One measured point in sensor axes: the limit of its approach (analysis.to_come).
 
     Attributes:
@@ -85,8 +88,23 @@ class SteadyMeasurement:
     release_s: float
     from_s: float
     to_s: float
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride] (the base has a property)
     creeps: bool = False
+
+    @property
+    def heading(self) -> str:
+        """State and averaged interval."""
+        return f"SteadyMeasurement: {self.state}, mean from {self.from_s:.4g} to {self.to_s:.4g} s"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity."""
+        amplitudes = self.amplitude_x_m, self.amplitude_y_m, self.amplitude_m
+        values = *self.theta_rad, *amplitudes, self.speed_rad_s
+        return {
+            "quantity": [*QUANTITIES_SI, "speed_rad_s"],
+            "value": [each.value for each in values],
+            "std": [each.std for each in values],
+        }
 
     @property
     def noise_floor_m(self) -> float:

@@ -35,6 +35,8 @@ from daq.guided_test_kinds import point_of
 from daq.signals.run import Run
 from daq.signals.speed_agreement import SPEED_TOLERANCE
 from daq.signals.threads import on_one_thread
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 from rig_basics.units import RPM
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as
@@ -50,7 +52,7 @@ _READINGS: Mapping[Reading, str] = {
 
 
 @dataclass(frozen=True)
-class Validation:
+class Validation(Tabular):
     """Result of all compared points.
 
     Attributes:
@@ -77,6 +79,26 @@ class Validation:
     suspension: Sequence[str] = ()
     filled: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     assumed: Sequence[str] = ()
+
+    @property
+    def heading(self) -> str:
+        """Result and number of points that pass."""
+        passed = sum(point.verdict == "pass" for point in self.points.values())
+        verdict = "passed" if self.passed else "not passed"
+        return f"Validation: {verdict}, {passed} of {number_of(len(self.points), 'point')} pass"
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """Reasons and warnings."""
+        return [*self.reasons, *self.warnings]
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each quantity of each point, in the units of `PointResult`, with the point's verdict."""
+        names = "quantity", "measured", "predicted", "difference", "uncertainty", "z"
+        tables = {name: point.columns() for name, point in self.points.items()}
+        found = {column: [value for table in tables.values() for value in table[column]] for column in names}
+        rows = [(name, self.points[name].verdict) for name, table in tables.items() for _ in table["quantity"]]
+        return {"point": [name for name, _ in rows], **found, "verdict": [verdict for _, verdict in rows]}
 
     @property
     def reasons(self) -> list[str]:

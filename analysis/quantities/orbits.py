@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from rig_basics.arrays import Array, Complex
+from rig_basics.tabular import Column, Tabular
 
 
 @dataclass(frozen=True)
-class OrbitEllipse:
+class OrbitEllipse(Tabular):
     """Orbit x = Re(X e^{ikψ}), y = Re(Y e^{ikψ}) of sensors at right angles, in the sense of the rotor's rotation.
 
     Attributes:
@@ -45,6 +47,11 @@ class OrbitEllipse:
         if abs(self.minor_m) <= 2 * self.std_m or self.minor_m == 0.0:
             return "straight"
         return "forward" if self.minor_m > 0 else "backward"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return one row: semi-axes, inclination and sense."""
+        names = "major_m", "minor_m", "std_m", "inclination_rad", "precession"
+        return {name: [getattr(self, name)] for name in names}
 
     def points(self, phase_rad: Array) -> tuple[Array, Array]:
         """Return x and y of the orbit, m, at phases kψ, shapes (n,)."""

@@ -6,7 +6,7 @@ orders in bins at any speed. An amplitude that changes within the window is smea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -16,11 +16,12 @@ from scipy.interpolate import CubicSpline
 
 from analysis.quantities.order_tracking import OrderTrack
 from rig_basics.arrays import Array, Complex
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
-class OrderMap:
+class OrderMap(Tabular):
     """Amplitudes over time and order.
 
     Attributes:
@@ -38,6 +39,16 @@ class OrderMap:
     def amplitude_m(self) -> Array:
         """Absolute values of the vectors, m."""
         return np.abs(self.vectors_m)
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each order of each window."""
+        return {
+            "time_s": np.repeat(self.time_s, len(self.order)),
+            "speed_rad_s": np.repeat(self.speed_rad_s, len(self.order)),
+            "order": np.tile(self.order, len(self.time_s)),
+            "amplitude_m": self.amplitude_m.ravel(),
+            "phase_rad": np.angle(self.vectors_m).ravel(),
+        }
 
 
 def order_map(

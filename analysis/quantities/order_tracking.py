@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from analysis.quantities.envelopes import Envelopes, fit_envelopes
 from rig_basics.arrays import Array, Complex, Indices
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
-class OrderTrack:
+class OrderTrack(Tabular):
     """Order vectors over time; the signal is offset + Re Σ A_k e^{ikψ} about each row's time.
 
     A positive angle of A_k leads: the signal is largest where kψ = −arg A_k. The sign is that of the signal: a laser's
@@ -45,6 +46,15 @@ class OrderTrack:
     samples: NDArray[np.int64]
     speed_rad_s: Array
     independent: Array
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each time: amplitude, phase and deviation of each order."""
+        found: dict[str, Column] = {"time_s": self.time_s, "speed_rad_s": self.speed_rad_s}
+        for order in self.orders:
+            amplitude, std = self.of(order)
+            size, phase = np.abs(amplitude), np.angle(amplitude)
+            found |= {f"amplitude{order}_m": size, f"phase{order}_rad": phase, f"std{order}_m": std}
+        return found | {"offset_m": self.offset_m, "residual_m": self.residual_m, "samples": self.samples}
 
     def mean(self, order: int) -> tuple[complex, float]:
         """Return the mean amplitude of one order over the rows, and the standard deviation of its parts.

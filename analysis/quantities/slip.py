@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -9,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
-class SlipTrack:
+class SlipTrack(Tabular):
     """Motion of the pendulums relative to the rotor, in rows of whole turns.
 
     Attributes:
@@ -28,6 +30,13 @@ class SlipTrack:
     angle_rad: Array
     slip_order: Array
     std: Array
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each time; the pendulums are numbered from 3, as θ3 and θ4."""
+        found: dict[str, Column] = {"time_s": self.time_s, "speed_rad_s": self.speed_rad_s}
+        for j, columns in enumerate(zip(self.angle_rad.T, self.slip_order.T, self.std.T, strict=True), 3):
+            found |= dict(zip((f"theta{j}_rad", f"slip{j}_order", f"slip{j}_std"), columns, strict=True))
+        return found
 
 
 def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *, revolutions: int = 4) -> SlipTrack:

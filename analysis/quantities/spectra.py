@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig_basics.arrays import Array
+from rig_basics.tabular import Column, Tabular
+from rig_basics.texts import number_of
 
 
 @dataclass(frozen=True)
-class Spectrum:
+class Spectrum(Tabular):
     """A spectrum.
 
     Attributes:
@@ -25,6 +28,15 @@ class Spectrum:
     values: Array
     resolution_Hz: float
     averages: int
+
+    @property
+    def heading(self) -> str:
+        """Resolution and number of windows."""
+        return f"Spectrum: resolution {self.resolution_Hz:.4g} Hz, {number_of(self.averages, 'window')}"
+
+    def columns(self) -> Mapping[str, Column]:
+        """Return a row for each frequency."""
+        return {"frequency_Hz": self.frequency_Hz, "values": self.values}
 
 
 def power_density(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s: float | None = None) -> Spectrum:

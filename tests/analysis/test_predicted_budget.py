@@ -149,7 +149,7 @@ def test_monte_carlo_differs_where_a_rectangular_source_dominates(rig: Rig, foun
 def test_a_draw_that_leaves_the_domain_is_refused_with_words(rig: Rig, found: PredictedBudgets) -> None:
     model = NonlinearModel(found, rig.physics)
     error = np.zeros((1, found.budgets.sensitivities.shape[1]))
-    error[0, found.columns["known balance"]] = -2.0  # of its scale: masses below 0
+    error[0, found.first_columns["known balance"]] = -2.0  # of its scale: masses below 0
     with pytest.raises(NoStableState, match="a draw has impossible parameters"):
         model(error)
 

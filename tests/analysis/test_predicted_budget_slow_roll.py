@@ -75,7 +75,7 @@ def test_points_are_correlated_by_the_slow_roll_and_not_by_friction(found: Predi
     names = [source.name for source in found.budgets.sources]
     assert {"dry friction at A", "dry friction at B", "dry friction at E", "gain y"} <= set(names)
     assert sum(name.startswith("slow roll") for name in names) == 6
-    column = found.columns["dry friction at B"]
+    column = found.first_columns["dry friction at B"]
     others = [i for i, q in enumerate(found.quantities) if q.point != "B"]
     assert not np.any(found.budgets.sensitivities[others, column : column + 2])
 
@@ -112,7 +112,7 @@ def test_monte_carlo_follows_run_out_bow_and_friction(rig: Rig, found: Predicted
     wanted = [i for i, name in enumerate(names) if name.startswith(("slow", "dry", "gain", "known phase"))]
     kept = np.zeros(drawn.shape[1], bool)
     for i in wanted:
-        at = found.columns[names[i]]
+        at = found.first_columns[names[i]]
         kept[at : at + sources[i].width] = True
     drawn *= kept
     values = NonlinearModel(found, rig.physics)(drawn)

@@ -73,7 +73,7 @@ def test_a_budget_has_the_terms_in_it() -> None:
         assert u[row] == pytest.approx(quantity.scale * found.std[quantity.index], rel=1e-6), quantity.name
     assert {f"suspension {name}" for name in TERMS} < {source.name for source in answer.budgets.sources}
     model = NonlinearModel(answer, given.with_effects(RIG.physics))
-    column = answer.columns[f"suspension {TERMS[3]}"]
+    column = answer.first_columns[f"suspension {TERMS[3]}"]
     error = np.zeros((1, answer.budgets.sensitivities.shape[1]))
     none, moved = model(error)[0], model(error + 0.1 * np.eye(error.shape[1])[column])[0]
     assert moved - none == pytest.approx(0.1 * answer.budgets.sensitivities[:, column], rel=1e-2, abs=1e-9)
