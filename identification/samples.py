@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from identification.errors import NotIdentifiable
+from rig_basics import times
 from rig_basics.arrays import Array
 from rig_basics.texts import number_of
 
@@ -62,29 +63,7 @@ def checked_times(time_s: np.ndarray, *, any_order: bool = False) -> Array:
     Raises:
         NotIdentifiable: the times are dates or text, run backwards, or most of them are repeated.
     """
-    given = np.asarray(time_s)
-    if given.dtype.kind not in "fiu":
-        raise NotIdentifiable(
-            f"expected times in seconds as real numbers, got an array of {given.dtype}; convert dates, e.g. by "
-            "(time - time[0]) / numpy.timedelta64(1, 's')"
-        )
-    if given.ndim != 1:
-        raise NotIdentifiable(f"expected times of shape (n,), got {given.shape}")
-    time = np.ascontiguousarray(given, float)
-    finite = time[np.isfinite(time)]
-    finite = np.sort(finite) if any_order else finite
-    steps = np.diff(finite)
-    if np.any(steps < 0):
-        at = int(np.argmax(steps < 0))
-        raise NotIdentifiable(f"time runs backwards after sample {at} ({finite[at]:.6g} s); sort the recording by time")
-    repeated = np.flatnonzero(steps == 0)
-    if 2 * len(repeated) >= len(steps) > 0:
-        raise NotIdentifiable(
-            f"{len(repeated)} of {number_of(len(finite), 'time')} repeat the time before, "
-            f"first {finite[repeated[0]]:.6g} s; give "
-            "each sample its own time. A time with too few digits, or that of a packet, belongs to one sample only"
-        )
-    return time
+    return times.checked_times(time_s, NotIdentifiable, any_order=any_order)
 
 
 def white_noise(value: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from analysis.quantities.order_tracking import OrderTrack
 from rig_basics.arrays import Array, Complex
 from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
+from rig_basics.times import checked_times
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def order_map(
         revolutions: length of a window; orders are resolved that differ by two over this.
         highest: highest order; reduced if the fastest turn has too few samples.
     Raises:
-        ValueError: shapes differ, or no window is complete.
+        ValueError: shapes differ, times are dates or run backwards, or no window is complete.
     """
     time, signal, turned = _by_angle(time_s, displacement_m, phase_rad)
     fastest = float(np.max(np.diff(turned) / np.diff(time)))
@@ -121,7 +122,8 @@ def resampled_order_track(
 
 def _by_angle(time_s: ArrayLike, values: ArrayLike, phase_rad: ArrayLike) -> tuple[Array, Array, Array]:
     """Return times, values and turns of the rotor with rising turns."""
-    time, signal, psi = (np.asarray(a, np.float64) for a in (time_s, values, phase_rad))
+    time = checked_times(time_s, ValueError)
+    signal, psi = (np.asarray(a, np.float64) for a in (values, phase_rad))
     if not time.shape == signal.shape == psi.shape or time.ndim != 1:
         raise ValueError(f"time, displacement and phase must be alike, got {time.shape}, {signal.shape}, {psi.shape}")
     good = np.isfinite(signal) & np.isfinite(psi) & np.isfinite(time)

@@ -15,6 +15,7 @@ from analysis.quantities.envelopes import Envelopes, fit_envelopes
 from rig_basics.arrays import Array, Complex, Indices
 from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
+from rig_basics.times import checked_times
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,12 @@ def order_track(
         revolutions: length of a window.
         harmonics: orders 0 … harmonics are fitted together, so that lost samples cause no leakage between them.
     Raises:
-        ValueError: shapes differ, an order is not positive, or there are less than four revolutions (one window).
+        ValueError: shapes differ, an order is not positive, times are dates or run backwards, or there are less than
+            four revolutions (one window).
     Source: docs/theory/order_tracking.md.
     """
-    time, x, psi = (np.asarray(a, np.float64) for a in (time_s, displacement_m, phase_rad))
+    time = checked_times(time_s, ValueError)
+    x, psi = (np.asarray(a, np.float64) for a in (displacement_m, phase_rad))
     if not time.shape == x.shape == psi.shape or time.ndim != 1:
         raise ValueError(f"time, displacement and phase must be alike, got {time.shape}, {x.shape}, {psi.shape}")
     if not orders or min(orders) < 1:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from rig_basics.arrays import Array
 from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
+from rig_basics.times import checked_times
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,9 @@ def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *,
         phase_rad: ψ at the readings, unwrapped, shape (n,), rad; NaN if unknown.
         revolutions: length of a row.
     Raises:
-        ValueError: shapes differ, or no row is complete.
+        ValueError: shapes differ, times are dates or run backwards, or no row is complete.
     """
-    time, psi = np.asarray(time_s, np.float64), np.asarray(phase_rad, np.float64)
+    time, psi = checked_times(time_s, ValueError), np.asarray(phase_rad, np.float64)
     angle = np.asarray(angle_rad, np.float64)
     angle = angle[:, None] if angle.ndim == 1 else angle
     if not len(time) == len(angle) == len(psi):

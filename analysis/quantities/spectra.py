@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig_basics.arrays import Array
 from rig_basics.tabular import Column, Tabular
 from rig_basics.texts import number_of
+from rig_basics.times import checked_times
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def power_density(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s: flo
             windows with longer gaps are left out.
         window_s: length of a window; by default an eighth of the record.
     Raises:
-        ValueError: shapes differ, or no window is complete.
+        ValueError: shapes differ, times are dates or run backwards, or no window is complete.
     """
     values, rate, whole = _even(time_s, displacement_m)
     length = _length(len(values), rate, window_s)
@@ -106,7 +107,7 @@ def full_spectrum(time_s: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, window_s
 
 def _even(time_s: ArrayLike, values: ArrayLike) -> tuple[Array, float, NDArray[np.bool_]]:
     """Return samples at even times, their rate, and whether each is measured rather than interpolated."""
-    time, signal = np.asarray(time_s, np.float64), np.asarray(values, np.float64)
+    time, signal = checked_times(time_s, ValueError), np.asarray(values, np.float64)
     if time.shape != signal.shape or time.ndim != 1:
         raise ValueError(f"spectrum: time and displacement must be alike, got {time.shape} and {signal.shape}")
     good = np.isfinite(signal) & np.isfinite(time)

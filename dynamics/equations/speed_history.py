@@ -12,6 +12,7 @@ from dynamics.arguments import check_number, real_array
 from dynamics.arrays import Array
 from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
+from rig_basics.times import need_ascending, seconds
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,9 @@ class SpeedHistory:
         Args:
             time_s, phase_rad: shape (n,), n ≥ 4, time strictly ascending.
         Raises:
-            OutsideDomain: fewer than four marks, or time not ascending.
+            OutsideDomain: fewer than four marks, or times that are dates or not ascending.
         """
-        times, phases = real_array("time_s", time_s), real_array("phase_rad", phase_rad)
+        times, phases = seconds(time_s, OutsideDomain), real_array("phase_rad", phase_rad)
         if times.ndim != 1 or phases.ndim != 1:
             raise OutsideDomain(
                 f"marks of a speed history: expected one row of each, got {times.shape}, {phases.shape}"
@@ -59,6 +60,7 @@ class SpeedHistory:
             raise OutsideDomain(
                 f"a speed history needs at least 4 marks with a phase each, got {len(times)} and {len(phases)}"
             )
+        need_ascending(times, OutsideDomain)
         if not (np.all(np.isfinite(times)) and np.all(np.isfinite(phases)) and np.all(np.diff(times) > 0)):
             raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
         spline = scipy.interpolate.CubicSpline(times, phases)
@@ -66,7 +68,7 @@ class SpeedHistory:
 
     def phase(self, time_s: ArrayLike) -> Array:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
-        return _phases(np.atleast_1d(real_array("time_s", time_s)), self.knots_s, self.coefficients)
+        return _phases(np.atleast_1d(seconds(time_s, OutsideDomain)), self.knots_s, self.coefficients)
 
 
 def _check_finite(**values: float) -> None:

@@ -12,6 +12,7 @@ from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 from dynamics.motions.explicit_steps import evaluate
 from rig_basics.tabular import Column, Tabular
+from rig_basics.times import seconds
 
 COMPONENTS = ("x_m", "y_m", "theta3_rad", "theta4_rad", "x_m_per_s", "y_m_per_s", "theta3_rad_s", "theta4_rad_s")
 """Names of the components of a state."""
@@ -119,9 +120,9 @@ class Motion(Tabular):
         """States at arbitrary instants within the motion, shape (n, 8).
 
         Raises:
-            OutsideDomain: the motion was computed without dense=True, or an instant is outside the motion.
+            OutsideDomain: the motion was computed without dense=True, or an instant is a date or outside the motion.
         """
-        kept, times = self._kept(), np.atleast_1d(np.asarray(time_s, float))
+        kept, times = self._kept(), np.atleast_1d(seconds(time_s, OutsideDomain))
         first, last = float(kept.spans[0, 0]), kept.end_s
         if np.any(times < first) or np.any(times > last):
             raise OutsideDomain(f"the motion covers {first:.6g} to {last:.6g} s, got {times.min()} to {times.max()}")

@@ -16,6 +16,7 @@ from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import damping_rates, locked_state
 from dynamics.motions.motion import MotionEvent
 from dynamics.motions.trajectory import Problem
+from rig_basics.times import need_ascending, seconds
 
 SAMPLES_PER_S = 200.0
 _MIN_COMPARED_INSTANTS = 64
@@ -75,17 +76,18 @@ def instants(time_s: ArrayLike) -> Array:
     """Output instants from an argument: an array unchanged, a number as a duration from 0 with 200 samples a second.
 
     Raises:
-        OutsideDomain: the array is empty, not finite or not ascending, or the duration is invalid.
+        OutsideDomain: the array contains dates, is empty, not finite or not ascending, or the duration is invalid.
     """
-    given = real_array("time_s", time_s)
+    given = seconds(time_s, OutsideDomain)
     if given.ndim == 0:
         duration = float(given)
         if not (np.isfinite(duration) and 0 < duration * SAMPLES_PER_S < 1e9):
             raise OutsideDomain(f"a duration must be finite and above 0 s (give instants for a long run): {duration!r}")
         return np.linspace(0.0, duration, int(np.ceil(duration * SAMPLES_PER_S - 1e-9)) + 1)
     times = given
-    if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)) or np.any(np.diff(times) < 0):
+    if times.ndim != 1 or len(times) == 0 or not np.all(np.isfinite(times)):
         raise OutsideDomain("time_s must be a duration or a one-dimensional array of finite, ascending instants in s")
+    need_ascending(times, OutsideDomain)
     return times
 
 

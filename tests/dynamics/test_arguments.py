@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,17 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from dynamics import RotorParameters, Scene, SpeedHistory, multipliers, release_outcome, simulate, steady_states
+from dynamics import (
+    RotorParameters,
+    Scene,
+    SpeedHistory,
+    multipliers,
+    release_outcome,
+    sensitivities,
+    simulate,
+    simulate_batch,
+    steady_states,
+)
 from dynamics.equations.parameters import imbalance_radius
 from dynamics.equations.scene import time_at_speed
 from dynamics.errors import DynamicsError, OutsideDomain
@@ -56,6 +67,28 @@ def test_what_is_no_pair_or_row_is_refused(wrong: Any) -> None:
     ):
         with pytest.raises(OutsideDomain):
             request()
+
+
+def test_times_that_are_dates_or_run_backwards_are_refused() -> None:
+    history = SpeedHistory.constant(30.0)
+    time = np.arange(6.0)
+    motion = simulate(rig(), Scene(history), time / 100, dense=True)
+    requests: list[Callable[[Any], object]] = [
+        motion.at,
+        history.phase,
+        lambda t: SpeedHistory.from_phases(t, 30.0 * time),
+        lambda t: simulate(rig(), Scene(history), t),
+        lambda t: simulate_batch([rig()], Scene(history), t),
+        lambda t: sensitivities(rig(), Scene(history), t, ["zeta1"]),
+    ]
+    for request in requests:
+        with pytest.raises(OutsideDomain, match=r"got an array of datetime64\[s\]; convert dates"):
+            request(time.astype("datetime64[s]"))
+        with pytest.raises(OutsideDomain, match="rows of unequal lengths"):
+            request([[1.0, 2.0], [3.0]])
+    for request in requests[2:]:
+        with pytest.raises(OutsideDomain, match=r"runs backwards after sample 1 \(2 s\)"):
+            request([0.0, 2.0, 1.0, 3.0, 4.0, 5.0])
 
 
 def test_a_rate_on_a_locked_pendulum_is_refused() -> None:
