@@ -29,6 +29,7 @@ from .motions.batch import (
 from .motions.integrate import (
     Motion as Motion,
     locked_orbit as locked_orbit,
+    locked_state as locked_state,
     simulate as simulate,
 )
 from .motions.sensitivities import sensitivities as sensitivities

@@ -6,47 +6,74 @@ The motion has a closed form if the suspension is linear. Otherwise it is comput
 
 from __future__ import annotations
 
-import numpy as np
+from functools import partial
+from typing import overload
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dynamics.arguments import real_array
 from dynamics.arrays import Array, Complex
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.motions.nonlinear_whirl import Direction, whirl_orders
 
 _SHARE = 1e-4  # relative step of a parameter for differences
 
 
+@overload
+def locked_orbit(  # pyright: ignore[reportOverlappingOverload] (a number is ArrayLike too)
+    parameters: RigOrParameters, speed_rad_s: float, theta3_rad: float = 0.0, theta4_rad: float = np.pi
+) -> tuple[complex, complex]: ...
+@overload
 def locked_orbit(
-    parameters: RotorParameters, speed_rad_s: float, theta3_rad: float = 0.0, theta4_rad: float = np.pi
-) -> tuple[complex, complex]:
+    parameters: RigOrParameters, speed_rad_s: ArrayLike, theta3_rad: ArrayLike = 0.0, theta4_rad: ArrayLike = np.pi
+) -> tuple[Complex, Complex]: ...
+def locked_orbit(
+    parameters: RigOrParameters, speed_rad_s: ArrayLike, theta3_rad: ArrayLike = 0.0, theta4_rad: ArrayLike = np.pi
+) -> tuple[complex, complex] | tuple[Complex, Complex]:
     """Steady motion at constant speed with both pendulums locked, without the static deflection under gravity.
 
+    Args:
+        parameters: RotorParameters, or an object whose `.physics` is one.
+        speed_rad_s, theta3_rad, theta4_rad: numbers, or arrays that broadcast to one shape.
     Returns:
-        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}). For a suspension that is not linear, the first order.
+        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}), of that shape. For a suspension that is not linear, the first
+        order.
     Raises:
-        OutsideDomain: the speed coincides with an undamped resonance, or is near a resonance bent over by the springs.
+        OutsideDomain: a speed coincides with an undamped resonance, or is near a resonance bent over by the springs.
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}). S_P includes the moment of an
         uncompensated pivot shift. A bow b adds k b.
     """
     p = physics_of(parameters)
+    w, theta3, theta4 = _numbers(speed_rad_s=speed_rad_s, theta3_rad=theta3_rad, theta4_rad=theta4_rad)
     if not p.suspension_is_linear:
-        x, y = locked_orders(p, speed_rad_s, theta3_rad, theta4_rad)
-        return complex(x[1]), complex(1j * y[1])
-    moment = (
-        p.forcing_moment_kg_m
-        + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
-        + p.b.first_moment_kg_m * np.exp(1j * theta4_rad)
-    )
-    w, mass = speed_rad_s, p.total_mass_kg
+        x, y = np.vectorize(partial(_first_orders, p), otypes=[complex, complex])(w, theta3, theta4)
+        return x[()], y[()]
+    moment, mass = _moment(p, theta3, theta4), p.total_mass_kg
     c1, c2 = p.damping_Ns_per_m
     force = moment * w * w
     stiff1, stiff2 = p.k1_N_per_m - mass * w * w + 1j * w * c1, p.k2_N_per_m - mass * w * w + 1j * w * c2
-    if stiff1 == 0 or stiff2 == 0:
+    if np.any((stiff1 == 0) | (stiff2 == 0)):
+        resonant = float(np.extract((stiff1 == 0) | (stiff2 == 0), w)[0])
         raise OutsideDomain(
-            f"at {speed_rad_s:.6g} rad/s the rotor runs in an undamped resonance, where its whirl is unbounded: "
+            f"at {resonant:.6g} rad/s the rotor runs in an undamped resonance, where its whirl is unbounded: "
             "expected damping above 0 or another speed"
         )
     return (force + p.k1_N_per_m * p.bow_m) / stiff1, (force + p.k2_N_per_m * p.bow_m) / stiff2
+
+
+def _moment(p: RotorParameters, theta3_rad: Array | float, theta4_rad: Array | float) -> Complex:
+    """First mass moment of imbalance and pendulums, kg m."""
+    a, b = p.a.first_moment_kg_m, p.b.first_moment_kg_m
+    moment = p.forcing_moment_kg_m + a * np.exp(1j * theta3_rad) + b * np.exp(1j * theta4_rad)
+    return np.asarray(moment, np.complex128)
+
+
+def _first_orders(p: RotorParameters, speed: float, theta3: float, theta4: float) -> tuple[complex, complex]:
+    """The result of locked_orbit for a suspension that is not linear."""
+    x, y = locked_orders(p, speed, theta3, theta4)
+    return complex(x[1]), complex(1j * y[1])
 
 
 def locked_orders(
@@ -57,11 +84,7 @@ def locked_orders(
     Raises:
         OutsideDomain: the speed is near a resonance bent over by the springs.
     """
-    moment = (
-        p.forcing_moment_kg_m
-        + p.a.first_moment_kg_m * np.exp(1j * theta3_rad)
-        + p.b.first_moment_kg_m * np.exp(1j * theta4_rad)
-    )
+    moment = _moment(p, theta3_rad, theta4_rad)
     force, mass, sag = complex(moment * speed_rad_s**2), p.total_mass_kg, -p.total_mass_kg * p.gravity_m_per_s2
     first, second = (
         Direction(mass, c, k, h, q)
@@ -76,20 +99,45 @@ def locked_orders(
 
 
 def locked_state(
-    parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
+    parameters: RigOrParameters,
+    speed_rad_s: ArrayLike,
+    phase_rad: ArrayLike,
+    theta3_rad: ArrayLike,
+    theta4_rad: ArrayLike,
 ) -> Array:
-    """State (8,) on the locked orbit at one phase, with the deflection −M_S g/k2 under gravity; start of a release."""
-    if not parameters.suspension_is_linear:
-        rows = list[tuple[float, float]]()
-        for orders in locked_orders(parameters, speed_rad_s, theta3_rad, theta4_rad):
-            k = np.arange(len(orders))
-            turned = orders * np.exp(1j * k * phase_rad)
-            rows.append((float(turned.real.sum()), float((1j * speed_rad_s * k * turned).real.sum())))
-        (x_m, x_rate), (y_m, y_rate) = rows
-        return np.array([x_m, y_m, theta3_rad, theta4_rad, x_rate, y_rate, 0.0, 0.0])
-    x, y = locked_orbit(parameters, speed_rad_s, theta3_rad, theta4_rad)
-    sag = parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m
-    return _on_orbit(x, y, speed_rad_s, phase_rad, theta3_rad, theta4_rad) - np.r_[0.0, sag, np.zeros(6)]
+    """State on the locked orbit at one phase, with the deflection −M_S g/k2 under gravity; start of a release.
+
+    Args:
+        parameters: RotorParameters, or an object whose `.physics` is one.
+        speed_rad_s, phase_rad, theta3_rad, theta4_rad: numbers, or arrays that broadcast to one shape.
+    Returns:
+        States as in Scene.start, shape (…, 8).
+    Raises:
+        OutsideDomain: as locked_orbit.
+    """
+    p = physics_of(parameters)
+    w, phase = _numbers(speed_rad_s=speed_rad_s, phase_rad=phase_rad)
+    theta3, theta4 = _numbers(theta3_rad=theta3_rad, theta4_rad=theta4_rad)
+    if not p.suspension_is_linear:
+        return np.vectorize(partial(_nonlinear_state, p), signature="(),(),(),()->(n)")(w, phase, theta3, theta4)
+    state = _on_orbit(*locked_orbit(p, w, theta3, theta4), w, phase, theta3, theta4)
+    state[..., 1] -= p.total_mass_kg * p.gravity_m_per_s2 / p.k2_N_per_m
+    return state
+
+
+def _nonlinear_state(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> Array:
+    """The result of locked_state for a suspension that is not linear, shape (8,)."""
+    rows = list[tuple[float, float]]()
+    for orders in locked_orders(p, speed, theta3, theta4):
+        k = np.arange(len(orders))
+        turned = orders * np.exp(1j * k * phase)
+        rows.append((float(turned.real.sum()), float((1j * speed * k * turned).real.sum())))
+    (x_m, x_rate), (y_m, y_rate) = rows
+    return np.array([x_m, y_m, theta3, theta4, x_rate, y_rate, 0.0, 0.0])
+
+
+def _numbers(**values: ArrayLike) -> list[Array]:
+    return [real_array(name, value) for name, value in values.items()]
 
 
 def locked_state_derivatives(
@@ -129,10 +177,19 @@ def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, 
     return out
 
 
-def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> Array:
+def _on_orbit(
+    x: Complex | complex,
+    y: Complex | complex,
+    speed: Array | float,
+    phase: Array | float,
+    theta3: Array | float,
+    theta4: Array | float,
+) -> Array:
+    """States, shape (…, 8)."""
     turn = np.exp(1j * phase)
     rate = 1j * speed * turn
-    return np.array([(x * turn).real, (y * turn).imag, theta3, theta4, (rate * x).real, (rate * y).imag, 0.0, 0.0])
+    disk, going = ((x * turn).real, (y * turn).imag), ((rate * x).real, (rate * y).imag)
+    return np.stack(np.broadcast_arrays(*disk, theta3, theta4, *going, 0.0, 0.0), axis=-1)
 
 
 def damping_rates(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> tuple[float, ...]:

@@ -137,7 +137,7 @@ def basins(
 def released(turning: RevolutionMap, theta_rad: Array) -> Array:
     """States on the locked orbit at ψ = 0, shape (n, 8), for angles (n, 2)."""
     p, w = turning.parameters, turning.speed_rad_s
-    return np.array([locked_state(p, w, 0.0, a, b) for a, b in theta_rad.tolist()])
+    return locked_state(p, w, 0.0, *theta_rad.T)
 
 
 def follow_to_all(
