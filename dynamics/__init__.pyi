@@ -41,6 +41,7 @@ from .stability.borders import Borders as Borders
 from .stability.stability_map import (
     StabilityMap as StabilityMap,
     stability_map as stability_map,
+    stability_map_over as stability_map_over,
 )
 from .steady.basins.basin_map import (
     BasinMap as BasinMap,

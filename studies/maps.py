@@ -12,7 +12,7 @@ from typing_extensions import override
 from analysis.maps.answers import compile_maps
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
-from dynamics.stability.stability_map import StabilityMap, plane_map
+from dynamics.stability.stability_map import StabilityMap, stability_map_over
 from rig_basics.arrays import Array
 from studies.errors import StudyInputError
 from studies.study import Answer, Kind, Study
@@ -77,7 +77,7 @@ class Maps(Kind):
         rows, columns = _parsed(text)[1][tile]
         plane, x, y = _plane(text)
         accuracy = _parsed(text)[0].accuracy
-        found = plane_map(plane, x[columns], y[rows], accuracy, threads=threads)
+        found = stability_map_over(plane, x[columns], y[rows], accuracy, threads=threads)
         return {
             "multiplier_max": found.multiplier_max,
             "error_estimate": found.error_estimate,

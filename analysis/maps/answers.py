@@ -18,7 +18,7 @@ from analysis.maps.shares import unresolved_share
 from dynamics.stability.borders import LEVELS, Borders, stability_borders
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
-from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
+from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, stability_map_over
 from rig_basics.texts import number_of
 
 ShareProgress = Callable[[float], None]
@@ -98,7 +98,7 @@ def compile_maps(question: MapQuestion) -> None:
         RigFileError, DynamicsError: the question cannot be answered.
     """
     plane = question.plane()
-    plane_map(plane, question.x.values[:1], question.y.values[:1], question.accuracy)
+    stability_map_over(plane, question.x.values[:1], question.y.values[:1], question.accuracy)
     compile_tiles()
     further = () if question.family is None else question.family.values
     for value in further:
@@ -147,7 +147,7 @@ def answer(
 def _full(question: MapQuestion, plane: Plane, display: Progress) -> StabilityMap:
     count = question.x.count * question.y.count
     with display(number_of(count, "point"), count, "points") as notify:
-        return plane_map(plane, question.x.values, question.y.values, question.accuracy, notify)
+        return stability_map_over(plane, question.x.values, question.y.values, question.accuracy, notify)
 
 
 def _refined(question: MapQuestion, plane: Plane, display: Progress) -> tuple[StabilityMap, NDArray[np.bool_]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -34,6 +34,10 @@ class Coordinate:
 SAME = Coordinate(lambda value: value, lambda at: at)
 INVERSE = Coordinate(lambda value: 1.0 / value, lambda at: 1.0 / at)  # for a speed: modes turn by ω_n/ω per radian
 ROOT = Coordinate(np.sqrt, np.square)  # for a stiffness: the phase of its mode is proportional to the root
+
+
+RigOverPlane: TypeAlias = Callable[[float, float], tuple[RotorParameters, float]]
+"""Function from a pair of values to the rig and its speed in rad/s."""
 
 
 class Plane(Protocol):
@@ -129,7 +133,7 @@ class RigPlane:
         x, y, names: see Plane.
     """
 
-    at: Callable[[float, float], tuple[RotorParameters, float]]
+    at: RigOverPlane
     x: Coordinate = SAME
     y: Coordinate = SAME
     names: tuple[str, str] = ("x", "y")

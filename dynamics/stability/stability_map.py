@@ -16,7 +16,7 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
-from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
+from dynamics.stability.map_plane import Plane, RigOverPlane, RigPlane, SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
 from rig_basics.tabular import Column, Tabular
@@ -100,18 +100,19 @@ class StabilityMap(Tabular):
         return -np.log(self.multiplier_max) * speeds / (2 * np.pi)
 
 
-def plane_map(
-    plane: Plane,
+def stability_map_over(
+    at: Plane | RigOverPlane,
     x: ArrayLike,
     y: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
 ) -> StabilityMap:
-    """Compute the largest modulus of the Type I multipliers over one revolution on a grid of a plane.
+    """Compute the largest modulus of the Type I multipliers over one revolution over any two numbers.
 
     Args:
-        x, y: values of the plane's parameters, shapes (n,) and (m,), finite.
+        at: function from a pair of values to (rig, speed in rad/s), or a plane.
+        x, y: values of both numbers, shapes (n,) and (m,), finite.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
         progress: called with the completed share of points, 0 … 1, from the calling thread.
         threads: number of threads. None: one per core. The results do not depend on it.
@@ -121,6 +122,7 @@ def plane_map(
         NotConverged: the multiplier of a point cannot be computed even with a low accuracy. The message contains the
             point.
     """
+    plane = RigPlane(at) if callable(at) else at
     x, y = (np.atleast_1d(real_array(name, values)) for name, values in (("x", x), ("y", y)))
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
@@ -194,7 +196,7 @@ def multipliers_on_grid(
 
     Args:
         x, y: values of the plane's parameters, shapes (n,) and (m,).
-        accuracy, progress, threads: see `plane_map`.
+        accuracy, progress, threads: see `stability_map_over`.
     Returns:
         Multipliers and their bounds, shape (m, n), NaN where the balanced state does not exist; numbers of points that
         were interpolated, computed explicitly in batches, and computed one by one.

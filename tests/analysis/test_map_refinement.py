@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, label
 from analysis.maps.refinement import refined_grid
 from dynamics import balanced_angles
 from dynamics.stability.map_plane import SpeedStiffnessPlane
-from dynamics.stability.stability_map import multipliers_at_points, plane_map
+from dynamics.stability.stability_map import multipliers_at_points, stability_map_over
 from rig_configs import load_rig
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def test_the_nominal_plane_is_as_on_the_full_grid_at_a_fraction_of_its_points() 
     physics = load_rig("virtual").physics
     plane = SpeedStiffnessPlane(physics, balanced_angles(physics)[0])
     x, y = np.linspace(0.3, 7.0, 24 * 8 + 1), np.linspace(1.0, 16.0, 18 * 8 + 1)
-    full = np.asarray(plane_map(plane, x, y, 1e-8).multiplier_max, np.float64) - 1
+    full = np.asarray(stability_map_over(plane, x, y, 1e-8).multiplier_max, np.float64) - 1
 
     def evaluate(at_x: Array, at_y: Array) -> Array:
         return np.asarray(multipliers_at_points(plane, at_x, at_y, 1e-8)[0], np.float64) - 1

@@ -14,7 +14,7 @@ from dynamics.errors import NoBalancedState
 from dynamics.stability.floquet import floquet_multipliers
 from dynamics.stability.map_plane import SAME, RigPlane, SpeedStiffnessPlane
 from dynamics.stability.map_rigs import MapRigs
-from dynamics.stability.stability_map import multipliers_on_grid, stability_map
+from dynamics.stability.stability_map import multipliers_on_grid, stability_map, stability_map_over
 from tests.dynamics.nominal import rig
 
 NOMINAL = rig()
@@ -84,6 +84,13 @@ def test_both_planes_agree_on_speed_and_stiffness() -> None:
     special = SpeedStiffnessPlane(NOMINAL, balanced_angles(NOMINAL)[0])
     known, _, _ = multipliers_on_grid(special, speeds, stiffness, 1e-9, silent)
     assert general == pytest.approx(known, abs=1e-13)
+
+
+def test_a_function_from_two_numbers_to_a_rig_makes_a_map() -> None:
+    found = stability_map_over(damped_and_unbalanced, [0.01, 0.02], 1e-3)
+    assert found.columns()["x"].tolist() == [0.01, 0.02]
+    for radius, multiplier in zip(found.x.tolist(), found.multiplier_max[0].tolist(), strict=True):
+        assert multiplier == pytest.approx(single(*damped_and_unbalanced(radius, 1e-3)), rel=1e-8)
 
 
 def test_the_numbers_of_a_point_are_those_of_the_exact_equations() -> None:

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from analysis.maps.question import MapQuestion
-from dynamics.stability.stability_map import plane_map
+from dynamics.stability.stability_map import stability_map_over
 from studies.engines import engine_of
 from studies.engines.processes import Processes
 from studies.engines.threads import Threads
@@ -68,7 +68,7 @@ def test_the_whole_is_the_map_within_its_bounds(by_threads: TileFolder) -> None:
     assert whole.multiplier_max.shape == (420, 1000)
     assert sum(whole.counts) == 420_000
     x, y = question.x.values[::37], question.y.values[::29]
-    fresh = plane_map(question.plane(), x, y, 1e-10)
+    fresh = stability_map_over(question.plane(), x, y, 1e-10)
     away = np.abs(whole.multiplier_max[::29, ::37] - fresh.multiplier_max)
     assert np.all(away <= whole.error_estimate[::29, ::37] + fresh.error_estimate)
     assert np.all(whole.error_estimate <= 1e-8 * np.maximum(1, whole.multiplier_max))
