@@ -88,7 +88,11 @@ from .quantities.spectra import (
     full_spectrum as full_spectrum,
     power_density as power_density,
 )
-from .release_probabilities import end_probabilities as end_probabilities
+from .release_probabilities import (
+    EndProbabilities as EndProbabilities,
+    ReleaseDraws as ReleaseDraws,
+    end_probabilities as end_probabilities,
+)
 from .report.campaign import Campaign as Campaign
 from .report.write import write_report as write_report
 from .results import PointResult as PointResult

@@ -11,6 +11,7 @@ from analysis_runs import Drawn, point_run
 from analysis import (
     OrbitEllipse,
     PointResult,
+    ReleaseDraws,
     Validation,
     amplitude_spectrum,
     end_probabilities,
@@ -21,7 +22,6 @@ from analysis import (
     validate_point,
 )
 from analysis.budget import predicted_budgets
-from analysis.release_probabilities import ReleaseDraws
 from analysis.simulated_run import SimulatedRun
 from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, Rig
