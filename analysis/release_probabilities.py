@@ -136,6 +136,15 @@ def end_probabilities(
     Raises:
         OutsideDomain: impossible arguments.
         AnalysisError: hardly any draw of the covariance is a possible rig.
+
+    Example:
+        >>> import numpy as np
+        >>> from analysis import ReleaseDraws, end_probabilities
+        >>> from rig_configs import IdentifiedParameters, load_rig
+        >>> known = IdentifiedParameters({"zeta1": 0.02}, np.array([[1e-3**2]]))
+        >>> found = end_probabilities(load_rig("virtual").physics, 30.0, known, ReleaseDraws(2, seconds=30.0))
+        >>> [(end.name, end.count) for end in found.ends]
+        [('I', 2)]
     """
     draws, play_rad = releases.draws, releases.play_rad
     rng = np.random.default_rng(releases.seed)

@@ -66,7 +66,7 @@ class RigModel:
             X and Y in sensor axes, shapes (n,), m: x = Re(X e^{iψ}), y = Re(Y e^{iψ}).
         """
         found = np.full((len(speed_rad_s), 2), np.nan + 0j)
-        for i, speed in enumerate(speed_rad_s.tolist()):
+        for i, speed in enumerate(map(float, speed_rad_s)):
             try:
                 x, y = locked_orbit(self.physics, speed, *theta_rad)
             except DynamicsError:  # usual: an undamped resonance; the speed stays NaN

@@ -14,8 +14,10 @@ from .errors import (
     RecordingError as RecordingError,
 )
 from .exchange import (
+    Recipe as Recipe,
     export_log as export_log,
     import_recording as import_recording,
+    make_recipe as make_recipe,
 )
 from .items import (
     Batch as Batch,

@@ -126,6 +126,16 @@ def compare_parameters(old: IdentifiedParameters, new: IdentifiedParameters) -> 
         NotIdentifiable: they have no parameter in common.
         ParametersFileError: the tests in a file are invalid.
     Source: docs/theory/joint_estimate.md.
+
+    Example:
+        >>> import numpy as np
+        >>> from identification import compare_parameters
+        >>> from rig_configs import IdentifiedParameters
+        >>> covariance = np.diag([0.5**2, 2e-4**2])
+        >>> old = IdentifiedParameters({"k1_N_per_m": 2600.37, "zeta1": 0.02004}, covariance)
+        >>> new = IdentifiedParameters({"k1_N_per_m": 2605.12, "zeta1": 0.02013}, covariance)
+        >>> [change.name for change in compare_parameters(old, new).significant()]
+        ['k1_N_per_m']
     """
     names = [n for n in old.values if n in new.values]
     if not names:

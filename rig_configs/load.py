@@ -48,6 +48,12 @@ def load_rig(
             changes the current number.
     Raises:
         RigFileError: lists every error with file, key, expected and actual value, and the nearest known name.
+
+    Example:
+        >>> from rig_configs import load_rig
+        >>> rig = load_rig("virtual", settings={"rotor.mass_kg": "+5%", "suspension.zeta1": 0.03})
+        >>> round(rig.physics.rotor_mass_kg, 3), rig.physics.zeta1
+        (7.35, 0.03)
     """
     return rig_from_text(*rig_text(path_or_name), parameters, settings)
 
@@ -103,7 +109,15 @@ def _files_of(table: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:
-    """Return a rig with identified values in place of its own, independent of the settings it was loaded with."""
+    """Return a rig with identified values in place of its own, independent of the settings it was loaded with.
+
+    Example:
+        >>> import numpy as np
+        >>> from rig_configs import IdentifiedParameters, load_rig, with_parameters
+        >>> known = IdentifiedParameters({"zeta1": 0.025}, np.array([[1e-4**2]]))
+        >>> with_parameters(load_rig("virtual"), known).physics.zeta1
+        0.025
+    """
     raw = rig.model_dump(exclude_unset=True)
     _apply_parameters(raw, known, rig.name)
     return validate(raw, rig.name)

@@ -36,6 +36,11 @@ def coverage_factor(level: float, degrees_of_freedom: float = math.inf) -> float
     Raises:
         BadInput: the level or the degrees of freedom are outside their domain.
     Source: JCGM 100, G.3.
+
+    Example:
+        >>> from uncertainty import coverage_factor
+        >>> round(coverage_factor(0.95, degrees_of_freedom=2), 3), round(coverage_factor(0.95), 3)
+        (4.303, 1.96)
     """
     check_level(level)
     if not degrees_of_freedom > 0:

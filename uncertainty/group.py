@@ -75,6 +75,12 @@ class Group:
         Raises:
             BadInput: there are fewer than two observations, shapes do not match, or a value is not finite.
         Source: JCGM 100, 5.2.3: covariance of means s(q, r)/n, with n − 1 degrees of freedom.
+
+        Example:
+            >>> from uncertainty import Group
+            >>> group = Group.of_observations("scale", ["x", "y"], ["mm", "mm"], [[1.0, 2.0], [1.1, 2.2], [1.2, 2.4]])
+            >>> group.std.round(4), group.degrees_of_freedom
+            (array([0.0577, 0.1155]), 2.0)
         """
         values = np.asarray(observations, dtype=np.float64)
         if values.ndim != 2 or len(values) < 2 or not bool(np.all(np.isfinite(values))):

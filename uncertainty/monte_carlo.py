@@ -79,6 +79,18 @@ def monte_carlo(
         BadModel: the model's values have another shape or are not finite.
         TooManyTrials: the values of `trials` trials, or of one batch, exceed the memory.
     Source: JCGM 101, 7.2 … 7.9; JCGM 102, 7.
+
+    Example:
+        >>> import numpy as np
+        >>> from uncertainty import ErrorSource, check_linear, linear_budgets, monte_carlo
+        >>> angle = ErrorSource("angle", 0.2, "rad")
+        >>> def height(errors):
+        ...     return np.cos(0.5 + errors)
+        >>> found = monte_carlo(height, [angle], seed=1, trials=20_000, names=["height"])
+        >>> [round(end, 2) for end in found["height"].symmetric]
+        [0.63, 0.99]
+        >>> check_linear(linear_budgets(height, [angle], ["height"], ["m"])["height"], found).verdict
+        'differ'
     """
     _check(sources, seed, level, limits)
     wanted = _checked_trials(limits.most_trials if trials is None else trials, level)

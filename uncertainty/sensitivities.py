@@ -31,6 +31,19 @@ def linear_budgets(
         BadInput: a standard uncertainty is 0, the step is not positive, or the names do not match the quantities.
         BadModel: the model's values have another shape or are not finite.
     Source: JCGM 100, 5.1.3, note 2.
+
+    Example:
+        >>> import numpy as np
+        >>> from uncertainty import ErrorSource, linear_budgets
+        >>> mass = ErrorSource("mass", 0.01, "kg", distribution="rectangular")
+        >>> sources = [ErrorSource("stiffness", 20.0, "N/m"), mass]
+        >>> def speed(errors):
+        ...     return np.sqrt((2600.0 + errors[:, :1]) / (7.2 + errors[:, 1:]))
+        >>> print(linear_budgets(speed, sources, ["speed"], ["rad/s"])["speed"])
+        Budget: speed = 19.0029 ± 0.146 rad/s (95 %, k = 1.96)
+        source     type  contribution      share  sensitivity  degrees_of_freedom
+        stiffness  B        0.0730887   0.968429   0.00365444                 inf
+        mass       B        0.0131965  0.0315707     -1.31965                 inf
     """
     if not step > 0:
         raise BadInput(f"the step is {step}; it must be above 0")

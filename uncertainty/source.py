@@ -66,6 +66,12 @@ class ErrorSource:
         Raises:
             BadInput: there are fewer than two readings, or a reading is not finite.
         Source: JCGM 100, 4.2.3; the distribution by JCGM 101, 6.4.9.
+
+        Example:
+            >>> from uncertainty import ErrorSource
+            >>> mass = ErrorSource.of_readings("mass", [7.01, 7.03, 7.02], "kg")
+            >>> round(mass.std, 5), mass.degrees_of_freedom
+            (0.00577, 2.0)
         """
         values = np.asarray(readings, dtype=np.float64)
         if values.ndim != 1 or len(values) < 2 or not bool(np.all(np.isfinite(values))):

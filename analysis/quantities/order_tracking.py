@@ -100,6 +100,25 @@ def order_track(
         ValueError: shapes differ, an order is not positive, times are dates or run backwards, or there are less than
             four revolutions (one window).
     Source: docs/theory/order_tracking.md.
+
+    Example:
+        The Bode plot of a run-up from parameters alone, and the orbit at one speed:
+
+        >>> import numpy as np
+        >>> from analysis import orbit_ellipse, order_track
+        >>> from dynamics import Scene, SpeedHistory, simulate
+        >>> from rig_configs import load_rig
+        >>> run_up = SpeedHistory.ramp(10.0, 30.0, duration_s=10.0)
+        >>> motion = simulate(load_rig("virtual"), Scene(run_up, released=(False, False)), 10.0)
+        >>> phase = run_up.phase(motion.time_s)[:, 0]
+        >>> x, y = (order_track(motion.time_s, signal, phase) for signal in motion.displacement_m.T)
+        >>> size = np.abs(x.amplitude_m[:, 0])
+        >>> print(f"{1e3 * size.max():.2f} mm at {x.speed_rad_s[size.argmax()]:.1f} rad/s")
+        4.72 mm at 21.5 rad/s
+        >>> at = np.searchsorted(x.speed_rad_s, 25.0)
+        >>> orbit = orbit_ellipse(x.amplitude_m[at, 0], y.amplitude_m[at, 0])
+        >>> orbit.precession, round(1e3 * orbit.major_m, 2)
+        ('backward', 1.76)
     """
     time = checked_times(time_s, ValueError)
     x, psi = (np.asarray(a, np.float64) for a in (displacement_m, phase_rad))

@@ -42,6 +42,17 @@ def speed_at(run: Run, time_s: ArrayLike) -> Array:
 
     Raises:
         ValueError: the times are dates or text.
+
+    Example:
+        >>> import numpy as np
+        >>> from analysis import speed_at
+        >>> from daq import Run
+        >>> none, turns = np.empty(0), np.arange(20)
+        >>> marks_s = turns / 5.0  # the index passes five times per second
+        >>> angles = none, np.empty((0, 2))
+        >>> run = Run("run-up", "arrays", 0.0, none, none, none, none, *angles, marks_s, 2 * np.pi * turns)
+        >>> speed_at(run, [1.0, 2.0, 99.0]).round(2)
+        array([31.42, 31.42,   nan])
     """
     time = np.atleast_1d(seconds(time_s, ValueError))
     marks, phase = np.asarray(run.mark_time_s, np.float64), np.asarray(run.mark_phase_rad, np.float64)

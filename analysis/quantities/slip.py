@@ -52,6 +52,14 @@ def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *,
         revolutions: length of a row.
     Raises:
         ValueError: shapes differ, times are dates or run backwards, or no row is complete.
+
+    Example:
+        >>> import numpy as np
+        >>> from analysis import slip_track
+        >>> time = np.arange(0.0, 2.0, 1e-3)
+        >>> phase = 40.0 * time
+        >>> slip_track(time, -0.1 * phase, phase).slip_order[:, 0].round(6)
+        array([-0.1, -0.1, -0.1])
     """
     time, psi = checked_times(time_s, ValueError), np.asarray(phase_rad, np.float64)
     angle = np.asarray(angle_rad, np.float64)

@@ -74,6 +74,15 @@ def amplitude_spectrum(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s
     """Return amplitudes of lines, m: a sine of 1 mm yields 1 mm (a Hann window loses 15 % half a bin off its bin).
 
     Arguments and errors as for `power_density`.
+
+    Example:
+        >>> import numpy as np
+        >>> from analysis import amplitude_spectrum
+        >>> time = np.arange(0.0, 10.0, 1e-3)
+        >>> found = amplitude_spectrum(time, 2e-3 * np.sin(2 * np.pi * 12 * time))
+        >>> largest = found.values.argmax()
+        >>> print(f"{1e3 * found.values[largest]:.3f} mm at {found.frequency_Hz[largest]:.2f} Hz")
+        2.000 mm at 12.00 Hz
     """
     density = power_density(time_s, displacement_m, window_s=window_s)
     lines = np.sqrt(2 * density.values * density.resolution_Hz)

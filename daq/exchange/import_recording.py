@@ -90,6 +90,23 @@ def import_recording(
             message contains the line. No log is left.
         LogError: the log's name is taken or does not end in .mcap.
         RecordingError, OSError: the log cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from daq import import_recording, load_run, make_recipe
+        >>> from rig_configs import load_rig
+        >>> time = np.arange(0.0, 2.0, 1e-3)
+        >>> table = np.column_stack([time, 2.0 * np.exp(-0.4 * time) * np.cos(19.0 * time)])
+        >>> recipe = make_recipe(test="ring-down-x", time="t:s", x="x:mm")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     csv, log = Path(folder, "decay.csv"), Path(folder, "decay.mcap")
+        ...     np.savetxt(csv, table, delimiter=",", header="t,x", comments="")
+        ...     imported = import_recording(csv, log, load_rig("virtual"), recipe)
+        ...     run = load_run(log)
+        >>> run.test, len(run.x_m), run.x_m[0].item()
+        ('ring-down-x', 2000, 0.002)
     """
     recording = open_recording(Path(path), recipe.decimal)
     noticed = ImportFindings(devices=rig.roles.device_of)

@@ -133,6 +133,14 @@ def balanced_angles(rig: RigOrParameters) -> list[tuple[float, float]]:
 
     Returns:
         Two mirror images in [0, 2π), the one with θ3 ≤ π first. Empty if the set is not properly oversized.
+
+    Example:
+        >>> import numpy as np
+        >>> from dynamics import balanced_angles
+        >>> from rig_configs import load_rig
+        >>> np.degrees(balanced_angles(load_rig("virtual").physics)).round(2)
+        array([[108.28, 251.72],
+               [251.72, 108.28]])
     """
     parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m

@@ -107,6 +107,15 @@ class RotorParameters:
     Raises:
         OutsideDomain: a value is not finite; a length, a stiffness or the rotor's mass is not positive; a mass, damping
             or friction is negative.
+
+    Example:
+        >>> from dynamics import Pendulum, RotorParameters
+        >>> ball = Pendulum(mass_kg=0.075, length_m=0.054, damping_Nms_per_rad=1e-3)
+        >>> rig = RotorParameters(7.0, 0.12, 0.02, ball, ball, 2600.0, 38e3, zeta1=0.02, zeta2=0.02)
+        >>> [round(speed, 2) for speed in rig.natural_frequencies_rad_s]
+        [18.91, 72.3]
+        >>> rig.with_values(k1_N_per_m=2700.0).k1_N_per_m
+        2700.0
     """
 
     rotor_mass_kg: float

@@ -76,6 +76,16 @@ def simulate(
         NotConverged: the accuracy cannot be reached (an unstable or chaotic motion over too long a time), or the work
             exceeds work_limit. If this is predictable, the error is raised before the computation.
     Source: docs/theory/integration.md.
+
+    Example:
+        >>> from dynamics import Scene, SpeedHistory, simulate
+        >>> from rig_configs import load_rig
+        >>> run_up = SpeedHistory.ramp(0.0, 40.0, duration_s=2.0)
+        >>> motion = simulate(load_rig("virtual"), Scene(run_up, release_time_s=(2.5, 2.5)), 3.0)
+        >>> motion.displacement_m.shape, bool(motion.error_estimate < 1e-6)
+        ((601, 2), True)
+        >>> motion.to_dataframe().columns.tolist()[:5]
+        ['time_s', 'x_m', 'y_m', 'theta3_rad', 'theta4_rad']
     """
     physics = physics_of(parameters)
     _check_request(scene, accuracy, method, work_limit)

@@ -44,6 +44,16 @@ def locked_orbit(
         OutsideDomain: a speed coincides with an undamped resonance, or is near a resonance bent over by the springs.
     Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}). S_P includes the moment of an
         uncompensated pivot shift. A bow b adds k b.
+
+    Example:
+        >>> import numpy as np
+        >>> from dynamics import locked_orbit
+        >>> from rig_configs import load_rig
+        >>> x, y = locked_orbit(load_rig("virtual"), np.array([10.0, 20.0, 40.0]))  # a steady Bode plot
+        >>> (1e3 * np.abs(x)).round(3)
+        array([0.137, 2.963, 0.449])
+        >>> np.degrees(np.angle(x)).round(1)
+        array([  -1.7, -161.4, -178.6])
     """
     p = physics_of(parameters)
     w, theta3, theta4 = _numbers(speed_rad_s=speed_rad_s, theta3_rad=theta3_rad, theta4_rad=theta4_rad)

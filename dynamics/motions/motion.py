@@ -100,7 +100,7 @@ class Motion(Tabular):
     @property
     def heading(self) -> str:
         """Method and error."""
-        return f"Motion: {self.method} steps, error at most {self.error_estimate:.2g}"
+        return f"Motion: method {self.method}, error at most {self.error_estimate:.2g}"
 
     def columns(self) -> Mapping[str, Column]:
         """Return a row for each instant."""

@@ -116,5 +116,19 @@ def start_ups_from_rest(
 
 
 def random_starts(count: int, seed: int) -> Array:
-    """Uniformly distributed start positions, rad, shape (count, 2)."""
+    """Uniformly distributed start positions, rad, shape (count, 2).
+
+    Example:
+        >>> import numpy as np
+        >>> from dynamics import Scene, SpeedHistory, locked_state, random_starts, simulate_batch
+        >>> from rig_configs import load_rig
+        >>> rig, history = load_rig("virtual").physics, SpeedHistory.constant(40.0)
+        >>> states = locked_state(rig, 40.0, 0.0, *random_starts(3, seed=1).T)  # releases at any angle
+        >>> scenes = [Scene(history, start=state) for state in states]
+        >>> found = simulate_batch([rig] * 3, scenes, [0.0, 20.0], last_only=True)
+        >>> np.sort(np.degrees(found.states[:, 0, 2:4]) % 360, axis=1).round(-1)
+        array([[110., 250.],
+               [110., 250.],
+               [110., 250.]])
+    """
     return np.random.default_rng(seed).uniform(0.0, 2 * math.pi, (count, 2))

@@ -121,6 +121,17 @@ def stability_map_over(
             a pivot shift or a bow prevents a state at rest.
         NotConverged: the multiplier of a point cannot be computed even with a low accuracy. The message contains the
             point.
+
+    Example:
+        >>> from dynamics import stability_map_over
+        >>> from rig_configs import load_rig
+        >>> rig = load_rig("virtual").physics
+        >>> def at(k2, speed):
+        ...     return rig.with_values(k2_N_per_m=k2), speed
+        >>> found = stability_map_over(at, [20e3, 40e3], [20.0, 40.0])
+        >>> found.multiplier_max.round(3)
+        array([[1.232, 1.227],
+               [1.019, 0.948]])
     """
     plane = RigPlane(at) if callable(at) else at
     x, y = (np.atleast_1d(real_array(name, values)) for name, values in (("x", x), ("y", y)))

@@ -60,6 +60,17 @@ def steady_states(
         NotConverged: the accuracy cannot be guaranteed for any of the states. If it can for some of them, the others
             are listed in `unresolved`.
     Source: docs/theory/steady_states.md.
+
+    Example:
+        >>> from dynamics import steady_states
+        >>> from rig_configs import load_rig
+        >>> states = steady_states(load_rig("virtual"), speed_rad_s=40.0)
+        >>> [(state.type, state.stability) for state in states[:3]]
+        [('I', 'stable'), ('I', 'stable'), ('II', 'unstable')]
+        >>> print(states)
+        SteadyStates
+        type  theta3_rad  theta4_rad  amplitude_m  multiplier_max  stability
+        I        1.88981     4.39338  ...
     """
     parameters = physics_of(rig)
     check_request(parameters, speed_rad_s, accuracy)
@@ -170,6 +181,13 @@ def multipliers(rig: RigOrParameters, speed_rad_s: float, accuracy: float = 1e-8
         rig, speed_rad_s, accuracy: as for steady_states.
     Raises:
         NoBalancedState: the pendulums cannot balance this imbalance, or a pivot shift, gravity or a bow prevents rest.
+
+    Example:
+        >>> from dynamics import multipliers
+        >>> from rig_configs import load_rig
+        >>> found = multipliers(load_rig("virtual"), 40.0, accuracy=1e-10)
+        >>> found.stability, round(found.multiplier_max, 4)
+        ('stable', 0.9498)
     """
     parameters = physics_of(rig)
     check_request(parameters, speed_rad_s, accuracy)

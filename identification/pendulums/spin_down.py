@@ -92,6 +92,15 @@ def fit_spin_down(
         FitFailed: the fit does not converge, the residuals are far above the noise, or dry friction hides the viscous
             damping.
     Source: docs/theory/pendulum_damping.md.
+
+    Example:
+        >>> import numpy as np
+        >>> from identification import fit_spin_down
+        >>> time, step = np.arange(0.0, 12.0, 0.01), 2 * np.pi / 4096
+        >>> angle = step * np.round(50.0 * (1 - np.exp(-time / 4)) / step)  # an encoder's readings
+        >>> fit = fit_spin_down(time, angle, inertia_kg_m2=2e-4)
+        >>> round(fit.values["rate_per_s"], 4), round(fit.values["c_Nms_per_rad"], 8)
+        (0.25, 5e-05)
     """
     check_setting(setting)
     if inertia_kg_m2 is not None and not 0 < inertia_kg_m2 < np.inf:

@@ -43,6 +43,11 @@ def parse_requirement(text: str) -> Requirement:
             in the parameter's unit, which follows it.
     Raises:
         RigFileError: the text has another form. The message contains the expected form and the nearest known name.
+
+    Example:
+        >>> from identification import parse_requirement
+        >>> parse_requirement("zeta1=1%")
+        Requirement(name='zeta1', value=0.01, relative=True)
     """
     name, sign, amount = (part.strip() for part in text.partition("="))
     if not sign:

@@ -94,6 +94,18 @@ def fit_ring_down(
         FitFailed: the fit did not converge, or the model leaves a large part of the signal.
         OutOfWork: the bound of the work (identification.work) was reached before an answer.
     Source: docs/theory/ring_down.md.
+
+    Example:
+        >>> import numpy as np
+        >>> from identification import fit_ring_down
+        >>> time = np.arange(0.0, 20.0, 2e-3)
+        >>> noise = np.random.default_rng(1).normal(0.0, 2e-6, len(time))
+        >>> fit = fit_ring_down(time, 2e-3 * np.exp(-0.4 * time) * np.cos(19.0 * time) + noise)
+        >>> round(fit.values["f1_Hz"], 4), round(fit.values["zeta1"], 4)
+        (3.0246, 0.021)
+        >>> print(fit)
+        RingDownFit: one mode, ...
+        name       value ...
     """
     signals = np.asarray(displacement_m, float)
     if signals.ndim not in (1, 2) or (signals.ndim == 2 and signals.shape[1] not in (1, 2)):

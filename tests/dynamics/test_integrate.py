@@ -374,7 +374,7 @@ def test_a_motion_that_cannot_be_foretold_is_refused() -> None:
         ({"accuracy": 0.0}, "accuracy"),
         ({"accuracy": math.nan}, "accuracy"),
         ({"time_s": -1.0}, "duration"),
-        ({"time_s": np.array([1.0, 0.0])}, "ascending"),
+        ({"time_s": np.array([1.0, 0.0])}, "runs backwards"),
         ({"method": "euler"}, "method"),
     ],
 )

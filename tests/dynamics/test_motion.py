@@ -50,7 +50,7 @@ def test_histories_and_scenes_that_mean_nothing_are_refused() -> None:
     for make, word in (
         (lambda: SpeedHistory.ramp(0.0, 10.0, -1.0), "duration"),
         (lambda: SpeedHistory.constant(np.nan), "speed_rad_s"),
-        (lambda: SpeedHistory.from_phases(np.array([0, 2, 1, 3.0]), np.arange(4.0)), "ascending"),
+        (lambda: SpeedHistory.from_phases(np.array([0, 2, 1, 3.0]), np.arange(4.0)), "runs backwards"),
         (lambda: SpeedHistory.from_phases(np.arange(5.0), np.arange(4.0)), "a phase each"),
         (lambda: Scene(30.0), "SpeedHistory"),
         (lambda: Scene(SpeedHistory.constant(1.0), release_time_s=(np.nan, 0.5)), "release_time_s"),
