@@ -138,8 +138,8 @@ class Run:
         x, y, marks = (_checked(name, pair, ()) for name, pair in (("x", x), ("y", y), ("marks", marks)))
         releases = tuple(Release(pendulum, instant) for pendulum, instant in enumerate(released_s))
         signals = (*x, *y, *_checked("angles", angles, (2,)), *marks)
-        one_clock = dict.fromkeys(("x", "y", "angles", "phase"), "arrays")
-        return cls(test, test, 0.0, *signals, releases=releases, angle_step_rad=angle_step_rad, clocks=one_clock)
+        clocks: dict[str, str] = dict.fromkeys(("x", "y", "angles", "phase"), "arrays")
+        return cls(test, test, 0.0, *signals, releases=releases, angle_step_rad=angle_step_rad, clocks=clocks)
 
     def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
