@@ -23,7 +23,6 @@ from rig_basics.ignoring import ignoring
 _log = logging.getLogger(__name__)
 
 _NEXT_S = 0.005  # wait for the next arrival after a pause, s
-_MAX_QUICK = 8  # consecutive arrivals within `_NEXT_S` after which a device no longer counts as sparse
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
 _LARGE_BYTES = 128 * 1024  # smallest array that glibc takes directly from the system
 _CALM_PAUSE_S = 0.04  # least pause if no interlock waits for the bytes, s
@@ -84,10 +83,15 @@ def keep_heap_whole() -> None:
 
 
 class _Sparse:
-    """Detects devices that send so rarely that each arrival is taken without a pause."""
+    """Detects devices that send so rarely that each arrival is taken without a pause.
+
+    After bytes that no others followed, arrivals are taken one by one until they have followed each other for as long
+    as the last gap: a packet arrives in parts, but in less time than passes until the next one. A sender of many bytes
+    that a busy host held up is thus soon read with pauses again.
+    """
 
     def __init__(self) -> None:
-        self._is_sparse, self._quick, self._last_s = False, 0, -math.inf
+        self._gap_s, self._since_s, self._last_s = 0.0, -math.inf, -math.inf
 
     def arrived(self, is_isolated: bool, has_bytes: bool, now_s: float) -> bool:
         """Register an arrival and return whether the device is sparse.
@@ -98,12 +102,15 @@ class _Sparse:
             now_s: its time, s; it never steps.
         """
         if is_isolated:
-            self._is_sparse, self._quick = True, 0
-        elif self._is_sparse and has_bytes:
-            self._quick = self._quick + 1 if now_s - self._last_s < _NEXT_S else 0
-            self._is_sparse = self._quick < _MAX_QUICK
-        self._last_s = now_s
-        return self._is_sparse
+            self._gap_s, self._since_s = _NEXT_S, now_s
+        elif has_bytes and self._gap_s:
+            if now_s - self._last_s >= _NEXT_S:
+                self._gap_s, self._since_s = now_s - self._last_s, now_s
+            elif now_s - self._since_s >= self._gap_s:
+                self._gap_s = 0.0
+        if has_bytes or is_isolated:
+            self._last_s = now_s
+        return self._gap_s > 0
 
 
 class DeviceReader:
