@@ -93,4 +93,4 @@ def _block(name: str, values: Column) -> list[str]:
 
 
 def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+    return f"{value:.8g}" if isinstance(value, float | np.floating) else str(value)

@@ -31,9 +31,9 @@ def test_a_small_table_is_shown_whole() -> None:
     shown = str(Example({"name": ["a", "long name"], "value_m": np.array([1.23456789, -2e-7])}, ["look at b"]))
     assert shown.splitlines() == [
         "Example",
-        "name       value_m",
-        "a          1.23457",
-        "long name   -2e-07",
+        "name         value_m",
+        "a          1.2345679",
+        "long name     -2e-07",
         "- look at b",
     ]
 

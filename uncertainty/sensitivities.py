@@ -41,9 +41,9 @@ def linear_budgets(
         ...     return np.sqrt((2600.0 + errors[:, :1]) / (7.2 + errors[:, 1:]))
         >>> print(linear_budgets(speed, sources, ["speed"], ["rad/s"])["speed"])
         Budget: speed = 19.0029 ± 0.146 rad/s (95 %, k = 1.96)
-        source     type  contribution      share  sensitivity  degrees_of_freedom
-        stiffness  B        0.0730887   0.968429   0.00365444                 inf
-        mass       B        0.0131965  0.0315707     -1.31965                 inf
+        source     type  contribution        share   sensitivity  degrees_of_freedom
+        stiffness  B      0.073088709    0.9684293  0.0036544354                 inf
+        mass       B      0.013196491  0.031570703    -1.3196491                 inf
     """
     if not step > 0:
         raise BadInput(f"the step is {step}; it must be above 0")

@@ -86,8 +86,8 @@ class _Sparse:
     """Detects devices that send so rarely that each arrival is taken without a pause.
 
     After bytes that no others followed, arrivals are taken one by one until they have followed each other for as long
-    as the last gap: a packet arrives in parts, but in less time than passes until the next one. A sender of many bytes
-    that a busy host held up is thus soon read with pauses again.
+    as the last gap, or as the longest wait: a packet arrives in parts, but in less time than passes until the next one.
+    A sender of many bytes that a busy host held up, or that was silent, is thus soon read with pauses again.
     """
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ class _Sparse:
             self._gap_s, self._since_s = _NEXT_S, now_s
         elif has_bytes and self._gap_s:
             if now_s - self._last_s >= _NEXT_S:
-                self._gap_s, self._since_s = now_s - self._last_s, now_s
+                self._gap_s, self._since_s = min(now_s - self._last_s, _WAIT_S), now_s
             elif now_s - self._since_s >= self._gap_s:
                 self._gap_s = 0.0
         if has_bytes or is_isolated:

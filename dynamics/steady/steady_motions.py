@@ -69,8 +69,8 @@ def steady_states(
         [('I', 'stable'), ('I', 'stable'), ('II', 'unstable')]
         >>> print(states)
         SteadyStates
-        type  theta3_rad  theta4_rad  amplitude_m  multiplier_max  stability
-        I        1.88981     4.39338  ...
+        type   theta3_rad   theta4_rad    amplitude_m  multiplier_max  stability
+        I       1.8898...    4.3933...  ...
     """
     parameters = physics_of(rig)
     check_request(parameters, speed_rad_s, accuracy)

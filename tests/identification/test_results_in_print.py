@@ -37,7 +37,7 @@ def test_a_fit_shows_values_and_intervals() -> None:
     shown = str(fit)
     assert is_a_screen(fit)
     assert "RingDownFit: " in shown.splitlines()[0]
-    assert f"{fit.values['f1_Hz']:.6g}" in shown
+    assert f"{fit.values['f1_Hz']:.8g}" in shown
     frame = fit.to_dataframe().set_index("name")
     assert frame.loc["f1_Hz", "std"] == fit.std["f1_Hz"]
     assert frame.loc["zeta1", "low_95"] == fit.intervals["zeta1"][0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import count
+from itertools import chain, count, islice
 
 import numpy as np
 import pytest
@@ -68,3 +68,9 @@ def test_a_quick_sender_that_a_busy_host_holds_up_is_read_with_pauses() -> None:
     """Every fifth of its bytes is 3 ms late: 65 pauses a second without that, none if five in a row are too few."""
     paused, _ = read((0.004 * k + 0.003 * (k % 5 == 0) for k in count(1)), 10.0)
     assert paused > 10.0 * 40
+
+
+def test_a_stream_after_a_long_silence_is_read_with_pauses() -> None:
+    packets = islice(every(0.05, 9), 900)
+    paused, _ = read(chain(packets, (100.0 + 0.002 * k for k in count())), 105.0)
+    assert paused > 4.0 * 40 + 5
